@@ -1,0 +1,112 @@
+"""One camera: image size, intrinsics and lens; pixels to rays and back, with Jacobians."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.lens import LENSES, Lens
+from ovmot.errors import CalibrationError
+from ovmot.geometry.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A calibrated camera.
+
+    `intrinsics` (5,) is fx, fy, cx, cy, skew in pixels: u = fx·x + skew·y + cx, v = fy·y + cy,
+    where (x, y) are distorted normalised coordinates. `distortion` (k,) belongs to `lens`.
+    Raises `CalibrationError` when these can not be a camera's.
+    """
+
+    width: int
+    height: int
+    intrinsics: FloatArray
+    lens: Lens
+    distortion: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.intrinsics.shape != (5,) or not np.all(np.isfinite(self.intrinsics)):
+            raise CalibrationError("camera intrinsics must be five finite numbers")
+        if self.width <= 0 or self.height <= 0 or min(self.fx, self.fy) <= 0.0:
+            raise CalibrationError(
+                f"impossible camera: {self.width}x{self.height} pixels,"
+                f" focal lengths {self.fx:g}, {self.fy:g}"
+            )
+        if len(self.distortion) not in self.lens.n_coefficients:
+            raise CalibrationError(
+                f"lens '{self.lens.name}' takes {' or '.join(map(str, self.lens.n_coefficients))}"
+                f" coefficients, got {len(self.distortion)}"
+            )
+        if not np.all(np.isfinite(self.distortion)):
+            raise CalibrationError("distortion coefficients must be finite numbers")
+
+    @classmethod
+    def make(
+        cls,
+        size: tuple[int, int],
+        focal: tuple[float, float],
+        center: tuple[float, float],
+        lens: str = "none",
+        distortion: FloatArray | list[float] | None = None,
+        skew: float = 0.0,
+    ) -> "Camera":
+        """Build from plain numbers; `size` is (width, height), `lens` a key of `LENSES`."""
+        if lens not in LENSES:
+            raise CalibrationError(f"unknown lens model '{lens}'; known: {', '.join(LENSES)}")
+        coefficients = np.asarray([] if distortion is None else distortion, dtype=np.float64)
+        return cls(
+            int(size[0]), int(size[1]), np.array([*focal, *center, skew], dtype=np.float64),
+            LENSES[lens], coefficients,
+        )  # fmt: skip
+
+    @property
+    def fx(self) -> float:
+        return float(self.intrinsics[0])
+
+    @property
+    def fy(self) -> float:
+        return float(self.intrinsics[1])
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The 3x3 camera matrix K in pixels."""
+        fx, fy, cx, cy, skew = self.intrinsics
+        return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+    def normalize(self, pixels: FloatArray) -> FloatArray:
+        """Undistorted plane coordinates (..., 2) of pixels (..., 2); NaN in, NaN out."""
+        fx, fy, cx, cy, skew = self.intrinsics
+        y = (pixels[..., 1] - cy) / fy
+        x = (pixels[..., 0] - cx - skew * y) / fx
+        return self.lens.undistort(np.stack([x, y], axis=-1), self.distortion)
+
+    def denormalize(self, xy: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of undistorted plane coordinates (..., 2)."""
+        fx, fy, cx, cy, skew = self.intrinsics
+        d = self.lens.distort(xy, self.distortion)
+        return np.stack([fx * d[..., 0] + skew * d[..., 1] + cx, fy * d[..., 1] + cy], axis=-1)
+
+    def project(self, points_cam: FloatArray) -> FloatArray:
+        """Pixels (..., 2) of points (..., 3) in the camera frame, metres; NaN behind it."""
+        z = points_cam[..., 2:]
+        return self.denormalize(points_cam[..., :2] / np.where(z > 0.0, z, np.nan))
+
+    def project_with_jacobian(self, points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (..., 2) and their derivative by the point (..., 2, 3), pixels per metre."""
+        z = np.where(points_cam[..., 2] > 0.0, points_cam[..., 2], np.nan)
+        xy = points_cam[..., :2] / z[..., None]
+        J_lens, _ = self.lens.distort_jacobian(xy, self.distortion)
+        plane = np.zeros((*xy.shape[:-1], 2, 3))
+        plane[..., 0, 0] = plane[..., 1, 1] = 1.0 / z
+        plane[..., 0, 2] = -xy[..., 0] / z
+        plane[..., 1, 2] = -xy[..., 1] / z
+        A = np.array([[self.fx, self.intrinsics[4]], [0.0, self.fy]])
+        return self.denormalize(xy), A @ J_lens @ plane
+
+    def inside(self, pixels: FloatArray, border: float = 0.0) -> BoolArray:
+        """Which pixels (..., 2) lie in the image, at least `border` pixels from its edge."""
+        u, v = pixels[..., 0], pixels[..., 1]
+        return (
+            (u >= border) & (v >= border)
+            & (u <= self.width - 1 - border) & (v <= self.height - 1 - border)
+        )  # fmt: skip

@@ -1,0 +1,64 @@
+"""The stereo rig: two cameras, their poses on the IMU, and the clock between them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ovmot.cameras.camera import Camera
+from ovmot.errors import CalibrationError
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StereoRig:
+    """Left camera `cam0`, right camera `cam1`, and the IMU that carries them.
+
+    `T_imu_cam0`, `T_imu_cam1` (4, 4) map camera points into the IMU frame, metres.
+    `time_offset_s` is added to a camera stamp to give the IMU's time: t_imu = t_cam + offset.
+    Raises `CalibrationError` for matrices that are no rigid motions or a rig without baseline.
+    """
+
+    cam0: Camera
+    cam1: Camera
+    T_imu_cam0: FloatArray
+    T_imu_cam1: FloatArray
+    time_offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, T in (("T_imu_cam0", self.T_imu_cam0), ("T_imu_cam1", self.T_imu_cam1)):
+            R = T[:3, :3]
+            if T.shape != (4, 4) or not np.all(np.isfinite(T)):
+                raise CalibrationError(f"{name} must be a finite 4x4 matrix")
+            if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+                raise CalibrationError(f"{name} does not hold a rotation matrix")
+        if self.baseline < 1e-3:
+            raise CalibrationError("the two cameras of the rig stand at the same place")
+
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        return self.cam0, self.cam1
+
+    @property
+    def T_cam1_cam0(self) -> FloatArray:
+        """Maps points of the left camera into the right one."""
+        return se3.inverse(self.T_imu_cam1) @ self.T_imu_cam0
+
+    @property
+    def baseline(self) -> float:
+        """Distance of the two camera centres in metres."""
+        return float(np.linalg.norm(self.T_imu_cam1[:3, 3] - self.T_imu_cam0[:3, 3]))
+
+    @property
+    def essential(self) -> FloatArray:
+        """E = [t]x R of T_cam1_cam0: x1ᵀ E x0 = 0 for undistorted homogeneous x0, x1."""
+        T = self.T_cam1_cam0
+        return so3.hat(T[:3, 3]) @ T[:3, :3]
+
+    def with_orthonormal_rotations(self) -> "StereoRig":
+        """The same rig with rotations cleaned of a calibration file's rounding."""
+
+        def clean(T: FloatArray) -> FloatArray:
+            return se3.make(so3.project_to_rotation(T[:3, :3]), T[:3, 3])
+
+        return replace(self, T_imu_cam0=clean(self.T_imu_cam0), T_imu_cam1=clean(self.T_imu_cam1))

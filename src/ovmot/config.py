@@ -1,0 +1,224 @@
+"""Settings: each declared once, with its type, its default and, below it, its help.
+
+`load_settings` reads a YAML file that holds only what differs from these defaults; unknown keys
+and values of the wrong type are errors that name the file. `ovmot settings` prints this page.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ovmot.errors import InputError
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
+    )
+
+
+class TrackerSettings(_Section):
+    """Front end: corners, optical flow, stereo matching."""
+
+    max_features: int = Field(250, ge=20, le=5000)
+    """Features kept alive in the left image."""
+    min_distance_px: float = Field(12.0, ge=2.0)
+    """New corners keep this distance from each other and from tracked features."""
+    fast_threshold: int = Field(15, ge=1, le=255)
+    """Contrast in grey levels that FAST asks of a corner."""
+    grid_cell_px: int = Field(64, ge=8)
+    """Side of the image cells over which corners are spread evenly."""
+    equalization: Literal["histogram", "clahe", "none"] = "histogram"
+    """Contrast correction before matching: whole-image histogram, local (CLAHE), or none."""
+    klt_window_px: int = Field(15, ge=5, le=51)
+    """Side of the patch that optical flow compares."""
+    klt_levels: int = Field(4, ge=1, le=8)
+    """Levels of the image pyramid."""
+    two_view_threshold_px: float = Field(1.0, gt=0.0)
+    """Epipolar distance that the robust test between consecutive left images tolerates."""
+
+
+class EpipolarSettings(_Section):
+    """Check of stereo matches by the stereo extrinsics."""
+
+    threshold_px: float = Field(1.5, gt=0.0)
+    """A stereo match farther than this from its epipolar line is refused."""
+    scale: Literal["angle", "fy"] = "angle"
+    """How pixels become plane units: along the line's normal, or by 1/fy."""
+
+
+class FilterSettings(_Section):
+    """The sliding-window filter (MSCKF)."""
+
+    max_clones: int = Field(11, ge=4, le=60)
+    """Past IMU poses kept in the state."""
+    integration: Literal["discrete", "rk4"] = "rk4"
+    """IMU integration: averaged samples with constant rates, or Runge-Kutta of 4th order."""
+    pixel_sigma: float = Field(1.0, gt=0.0)
+    """Standard deviation of a feature's position in the image, pixels."""
+    chi2_multiplier: float = Field(1.0, gt=0.0)
+    """Factor on the 95 % chi-squared bound of a feature's innovation."""
+    max_features_per_update: int = Field(60, ge=1)
+    """Features used in one update; those seen longest come first."""
+    min_depth_m: float = Field(0.1, gt=0.0)
+    """Triangulated points nearer than this are not used."""
+    max_depth_m: float = Field(150.0, gt=0.0)
+    """Triangulated points farther than this are not used."""
+    gravity_mps2: float = Field(9.81, gt=0.0)
+    """Magnitude of gravity."""
+    estimate_time_offset: bool = True
+    """Estimate the time offset between camera and IMU online."""
+    time_offset_sigma_s: float = Field(0.005, ge=0.0)
+    """Standard deviation of the time offset at the start, seconds."""
+
+
+class ImuSettings(_Section):
+    """Noise of the IMU; keys left out are taken from the data set, or from these defaults."""
+
+    gyro_noise: float | None = Field(None, gt=0.0)
+    """Gyroscope white noise density, rad/s/sqrt(Hz)."""
+    gyro_walk: float | None = Field(None, gt=0.0)
+    """Gyroscope bias random walk, rad/s^2/sqrt(Hz)."""
+    accel_noise: float | None = Field(None, gt=0.0)
+    """Accelerometer white noise density, m/s^2/sqrt(Hz)."""
+    accel_walk: float | None = Field(None, gt=0.0)
+    """Accelerometer bias random walk, m/s^3/sqrt(Hz)."""
+    max_gap_s: float = Field(0.1, gt=0.0)
+    """A hole in the IMU stream longer than this is reported."""
+
+
+class InitializationSettings(_Section):
+    """How the filter starts."""
+
+    window_s: float = Field(0.5, gt=0.1)
+    """Length of IMU and images that a start at rest looks at."""
+    motion_window_s: float = Field(1.2, gt=0.3)
+    """Length of stereo motion that a start in motion solves over."""
+    rest_gyro_rps: float = Field(0.02, gt=0.0)
+    """At rest, the gyroscope's standard deviation is below this."""
+    rest_accel_mps2: float = Field(0.15, gt=0.0)
+    """At rest, the accelerometer's standard deviation is below this."""
+    rest_pixel: float = Field(0.5, gt=0.0)
+    """At rest, most near points move less than this in the image, pixels."""
+
+
+class ZeroVelocitySettings(_Section):
+    """Recognition of standing still, by IMU and image together."""
+
+    enabled: bool = True
+    """Use zero-velocity updates."""
+    pixel: float = Field(0.4, gt=0.0)
+    """A point counts as still when it moves less than this between frames."""
+    still_share: float = Field(0.5, gt=0.0, le=1.0)
+    """Share of the static points that must be still."""
+
+
+class SplitSettings(_Section):
+    """Dynamic points: which points the ego motion does not explain."""
+
+    enabled: bool = True
+    """Split the points; off, every point is taken as static."""
+    candidates: Literal["tracked", "ransac"] = "tracked"
+    """Test all tracked stereo points, or only those that the two-view test rejected."""
+    test: Literal["covariance", "fixed"] = "covariance"
+    """Decide by each point's own covariance, or by the fixed thresholds below."""
+    max_range_m: float = Field(60.0, gt=0.0)
+    """Points farther than this are not judged."""
+    distance_threshold_m: float = Field(0.25, gt=0.0)
+    """Fixed test: distance between predicted and observed position."""
+    depth_weight: float = Field(0.3, ge=0.0, le=1.0)
+    """Fixed test: weight of the depth component in that distance."""
+    reprojection_threshold_px: float = Field(3.0, gt=0.0)
+    """Fixed test: reprojection error of the prediction, the worse of both cameras."""
+    combine: Literal["any", "all"] = "any"
+    """Fixed test: one threshold passed is enough, or both must be."""
+    false_alarm: float = Field(1e-4, gt=0.0, lt=0.5)
+    """Covariance test: probability that a static point is called dynamic in one comparison."""
+    min_speed_mps: float = Field(0.6, ge=0.0)
+    """Covariance test: slower points are not called dynamic."""
+    pixel_sigma: float = Field(0.7, gt=0.0)
+    """Covariance test: standard deviation of a stereo point's pixels."""
+
+
+class Settings(_Section):
+    """Everything that a run can be told."""
+
+    tracker: TrackerSettings = TrackerSettings()
+    epipolar: EpipolarSettings = EpipolarSettings()
+    filter: FilterSettings = FilterSettings()
+    imu: ImuSettings = ImuSettings()
+    initialization: InitializationSettings = InitializationSettings()
+    zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()
+    split: SplitSettings = SplitSettings()
+
+
+def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
+    """Settings from a YAML file (or none) and `section.key=value` overrides, later ones winning.
+
+    Raises `InputError` naming the file or the override, the key, and what is allowed.
+    """
+    data: dict[str, Any] = {}
+    if path is not None:
+        data = _read_yaml(path)
+    for text in overrides:
+        _apply_override(data, text)
+    try:
+        return Settings.model_validate(data)
+    except ValidationError as error:
+        source = "settings" if path is None else str(path)
+        raise InputError(f"{source}: {'; '.join(_plain_messages(error))}") from None
+
+
+def describe_settings() -> Iterator[tuple[str, str, str, str]]:
+    """Rows of (key, type, default, help) of every setting, in order of declaration."""
+    for section_name, section_field in Settings.model_fields.items():
+        section = section_field.annotation
+        if not (isinstance(section, type) and issubclass(section, BaseModel)):
+            continue
+        for name, field in section.model_fields.items():
+            kind = str(field.annotation).replace("typing.", "")
+            if isinstance(field.annotation, type):
+                kind = field.annotation.__name__
+            yield f"{section_name}.{name}", kind, str(field.default), field.description or ""
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read the settings file: {error}") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if loaded is None:
+        return {}
+    if not isinstance(loaded, dict):
+        raise InputError(f"{path}: expected sections such as 'tracker:', found {loaded!r}")
+    return loaded
+
+
+def _apply_override(data: dict[str, Any], text: str) -> None:
+    key, equals, value = text.partition("=")
+    section, dot, name = key.strip().partition(".")
+    if not (equals and dot and section and name):
+        raise InputError(f"--set {text}: write it as section.key=value")
+    try:
+        parsed = yaml.safe_load(value)
+    except yaml.YAMLError:
+        raise InputError(f"--set {text}: the value is not valid YAML") from None
+    if data.get(section) is None:
+        data[section] = {}
+    if not isinstance(data[section], dict):
+        raise InputError(f"--set {text}: '{section}' holds no keys in the settings file")
+    data[section] = {**data[section], name: parsed}
+
+
+def _plain_messages(error: ValidationError) -> Iterator[str]:
+    for item in error.errors():
+        place = ".".join(str(part) for part in item["loc"])
+        if item["type"] == "extra_forbidden":
+            yield f"unknown setting '{place}' (list them with 'ovmot settings')"
+        else:
+            yield f"'{place}': {item['msg']}, got {item.get('input')!r}"

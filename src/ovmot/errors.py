@@ -1,0 +1,27 @@
+"""The one family of exceptions that ovmot raises on purpose."""
+
+from pathlib import Path
+
+
+class OvmotError(Exception):
+    """Base of every error whose message is meant for the user as it stands."""
+
+
+class InputError(OvmotError):
+    """A file, folder or setting that the user gave is wrong; the command line exits with 2."""
+
+    @classmethod
+    def at(
+        cls, path: Path | str, problem: str, remedy: str = "", *, row: int | None = None
+    ) -> "InputError":
+        """One line: which file, which row (1-based), what is wrong, what to do about it."""
+        place = f"{path}" if row is None else f"{path}, row {row}"
+        return cls(f"{place}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class CalibrationError(InputError):
+    """A calibration file that cannot be read or that describes an impossible camera."""
+
+
+class DatasetError(InputError):
+    """A recorded sequence that cannot be read, or not any further."""

@@ -1,0 +1,38 @@
+"""Process-wide limits that make NumPy and OpenCV quick on small matrices and few cores.
+
+Small dense factorisations are slower with several BLAS threads than with one, OpenCV's own
+threads gain less than one Python thread per camera, and glibc gives every freed image back to
+the kernel. `limit_blas_threads` must run before NumPy is first imported.
+"""
+
+import ctypes
+import os
+import sys
+
+_M_TRIM_THRESHOLD = -1
+_M_TOP_PAD = -2
+_KEEP_BYTES = 512 * 1024 * 1024
+_TOP_PAD_BYTES = 64 * 1024 * 1024
+
+BLAS_THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def limit_blas_threads() -> None:
+    """Ask BLAS for one thread, unless the user's environment already says how many."""
+    if "numpy" not in sys.modules:
+        for variable in BLAS_THREAD_VARIABLES:
+            os.environ.setdefault(variable, "1")
+
+
+def prepare_process() -> None:
+    """Turn OpenCV's thread pool off and let malloc keep the memory of freed images."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    if sys.platform.startswith("linux"):
+        try:
+            libc = ctypes.CDLL("libc.so.6")
+            libc.mallopt(_M_TRIM_THRESHOLD, _KEEP_BYTES)
+            libc.mallopt(_M_TOP_PAD, _TOP_PAD_BYTES)
+        except (OSError, AttributeError):
+            return  # another libc (musl): only speed is lost
