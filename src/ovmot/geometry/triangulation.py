@@ -1,1 +1,176 @@
-"""Placeholder being written."""
+"""Points from rays: one stereo pair, or many views, batched over features.
+
+Image points are undistorted, normalised plane coordinates; a view that did not see a feature
+holds NaN.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray
+
+_MIN_INVERSE_DEPTH = 1e-4
+
+
+def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
+    """Points (..., 3) in the left camera, metres, from stereo pairs (..., 4).
+
+    The left ray is kept and the depth that fits the right point best is taken (least squares
+    along the ray, R. Hartley & A. Zisserman, ch. 12, with an exact left view). NaN where the pair
+    is incomplete or the point would lie behind a camera.
+    """
+    ray0 = np.concatenate([normalized[..., :2], np.ones_like(normalized[..., :1])], axis=-1)
+    ray1 = ray0 @ T_cam1_cam0[:3, :3].T
+    t = T_cam1_cam0[:3, 3]
+    x1 = normalized[..., 2:]
+    a = ray1[..., :2] - x1 * ray1[..., 2:]
+    b = x1 * t[2] - t[:2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth = (a * b).sum(-1) / (a * a).sum(-1)
+        behind = ~((depth > 0.0) & (depth * ray1[..., 2] + t[2] > 0.0) & (depth < 1e4))
+    return np.where(behind[..., None], np.nan, ray0 * depth[..., None])
+
+
+def project_plane(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Plane coordinates (..., 2) of camera points (..., 3), and their derivative (..., 2, 3)."""
+    z = points_cam[..., 2]
+    xy = points_cam[..., :2] / z[..., None]
+    J = np.zeros((*xy.shape[:-1], 2, 3))
+    J[..., 0, 0] = J[..., 1, 1] = 1.0 / z
+    J[..., 0, 2] = -xy[..., 0] / z
+    J[..., 1, 2] = -xy[..., 1] / z
+    return xy, J
+
+
+def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Both views (..., 4) of points (..., 3) in the left camera, and their derivative (..., 4, 3)."""
+    xy0, J0 = project_plane(p_cam0)
+    xy1, J1 = project_plane(se3.apply(T_cam1_cam0, p_cam0))
+    J = np.concatenate([J0, J1 @ T_cam1_cam0[:3, :3]], axis=-2)
+    return np.concatenate([xy0, xy1], axis=-1), J
+
+
+def stereo_covariance(
+    p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """Covariance (..., 3, 3), m², of stereo points (..., 3) in the left camera.
+
+    `sigma` (4,) is the standard deviation of the four plane coordinates (pixels by focal length).
+    It is the inverse of the information JᵀJ of the two views; NaN where the point is NaN.
+    """
+    _, J = project_stereo(p_cam0, T_cam1_cam0)
+    J = J / sigma[:, None]
+    return inverse_3x3(np.swapaxes(J, -1, -2) @ J)
+
+
+def inverse_3x3(matrix: FloatArray) -> FloatArray:
+    """Inverses (..., 3, 3) by cofactors: quick on large batches, NaN or inf where singular."""
+    a = matrix
+    c0 = np.cross(a[..., 1, :], a[..., 2, :])
+    c1 = np.cross(a[..., 2, :], a[..., 0, :])
+    c2 = np.cross(a[..., 0, :], a[..., 1, :])
+    det = (a[..., 0, :] * c0).sum(-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([c0, c1, c2], axis=-1) / det[..., None, None]
+
+
+@dataclass(frozen=True, slots=True)
+class ManyViewPoints:
+    """Points (F, 3) in world, their depth (F,) in the anchor view, and which are sound (F,)."""
+
+    p_world: FloatArray
+    depth: FloatArray
+    valid: BoolArray
+
+
+def triangulate_many_views(
+    normalized: FloatArray,
+    T_view_world: FloatArray,
+    sigma: float,
+    *,
+    depth_range: tuple[float, float] = (0.1, 500.0),
+    iterations: int = 6,
+) -> ManyViewPoints:
+    """Points in world from F features seen in V views with known poses.
+
+    `normalized` (F, V, 2), NaN where unseen; `T_view_world` (V, 4, 4); `sigma`: standard deviation
+    of a plane coordinate. A linear solution starts a Levenberg-Marquardt refinement of inverse
+    depth in the first view that saw the feature (J. Montiel et al., RSS 2006). A point is valid
+    with at least two views, its depth in range, and a mean error of at most 5 sigma.
+    """
+    seen = np.isfinite(normalized[..., 0])
+    n_features = len(normalized)
+    anchor = np.argmax(seen, axis=1)
+    T_anchor_world = T_view_world[anchor]
+    T_view_anchor = T_view_world[None] @ se3.inverse(T_anchor_world)[:, None]
+    xy = np.where(seen[..., None], normalized, 0.0)
+    weight = seen.astype(np.float64)
+
+    p = _linear_point(xy, T_view_anchor, weight)
+    z = np.where(p[:, 2] > depth_range[0], p[:, 2], depth_range[0])
+    start = normalized[np.arange(n_features), anchor]
+    state = np.concatenate([np.nan_to_num(start), 1.0 / z[:, None]], axis=1)
+    state, mean_square = _refine_inverse_depth(state, xy, T_view_anchor, weight, iterations)
+
+    depth = 1.0 / np.maximum(state[:, 2], _MIN_INVERSE_DEPTH)
+    p_anchor = np.concatenate([state[:, :2], np.ones((n_features, 1))], axis=1) * depth[:, None]
+    p_world = se3.apply(se3.inverse(T_anchor_world), p_anchor)
+    with np.errstate(invalid="ignore"):
+        valid = (
+            (seen.sum(1) >= 2)
+            & (depth > depth_range[0])
+            & (depth < depth_range[1])
+            & (mean_square < (5.0 * sigma) ** 2)
+        )
+    return ManyViewPoints(p_world, depth, valid)
+
+
+def _linear_point(xy: FloatArray, T: FloatArray, weight: FloatArray) -> FloatArray:
+    """Least-squares points (F, 3) in the anchor frame from (R_01 - x R_2) p = x t_2 - t_01."""
+    A = T[..., :2, :3] - xy[..., :, None] * T[..., 2:3, :3]
+    b = xy * T[..., 2:3, 3] - T[..., :2, 3]
+    A = A * weight[..., None, None]
+    N = np.einsum("fvij,fvik->fjk", A, A)
+    c = np.einsum("fvij,fvi->fj", A, b)
+    N += 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return (inverse_3x3(N) @ c[..., None])[..., 0]
+
+
+def _refine_inverse_depth(
+    state: FloatArray, xy: FloatArray, T: FloatArray, weight: FloatArray, iterations: int
+) -> tuple[FloatArray, FloatArray]:
+    """Levenberg-Marquardt on (alpha, beta, rho) (F, 3), each feature with its own damping."""
+    count = np.maximum(weight.sum(1), 1.0)
+    damping = np.full(len(state), 1e-4)
+    cost, N, g = _inverse_depth_system(state, xy, T, weight)
+    for _ in range(iterations):
+        diagonal = np.einsum("fii->fi", N)[:, :, None] * np.eye(3)
+        step = (inverse_3x3(N + damping[:, None, None] * diagonal) @ g[..., None])[..., 0]
+        trial = state + np.nan_to_num(step, posinf=0.0, neginf=0.0)
+        trial[:, 2] = np.maximum(trial[:, 2], _MIN_INVERSE_DEPTH)
+        trial_cost, trial_N, trial_g = _inverse_depth_system(trial, xy, T, weight)
+        better = trial_cost <= cost
+        state = np.where(better[:, None], trial, state)
+        N = np.where(better[:, None, None], trial_N, N)
+        g = np.where(better[:, None], trial_g, g)
+        cost = np.where(better, trial_cost, cost)
+        damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), 1e-9, 1e3)
+    return state, cost / (2.0 * count)
+
+
+def _inverse_depth_system(
+    state: FloatArray, xy: FloatArray, T: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Squared error (F,), normal matrix (F, 3, 3) and gradient (F, 3) at (alpha, beta, rho)."""
+    ray = np.concatenate([state[:, :2], np.ones((len(state), 1))], axis=1)
+    h = np.einsum("fvij,fj->fvi", T[..., :3, :3], ray) + state[:, None, 2:] * T[..., :3, 3]
+    behind = (h[..., 2] < 1e-6) & (weight > 0.0)
+    h = np.where(behind[..., None], np.array([0.0, 0.0, 1.0]), h)
+    plane, J_plane = project_plane(h)
+    columns = np.concatenate([T[..., :3, :2], T[..., :3, 3:]], axis=-1)
+    J = J_plane @ columns * weight[..., None, None]
+    r = (xy - plane) * weight[..., None]
+    cost = (r * r).sum((1, 2)) + 1e3 * behind.sum(1)
+    return cost, np.einsum("fvij,fvik->fjk", J, J), np.einsum("fvij,fvi->fj", J, r)

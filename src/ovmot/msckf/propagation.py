@@ -1,0 +1,218 @@
+"""IMU propagation of the mean, the transition matrix and the noise, over one camera interval.
+
+Each pair of consecutive samples is integrated from identity in its own frame, all pairs at once
+(ΔR, Δv, Δp; C. Forster et al., TRO 2017), and the increments are chained. Gravity is (0, 0, -g).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.msckf.state import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    N_IMU,
+    POSITION,
+    THETA,
+    TIME_OFFSET,
+    VELOCITY,
+    Clones,
+    ImuState,
+    State,
+)
+from ovmot.types import ImuData, ImuNoise
+
+# Where samples are missing, nothing was measured: the motion is only known to be a vehicle's.
+_GAP_GYRO = 0.5  # rad/s/sqrt(Hz)
+_GAP_ACCEL = 3.0  # m/s²/sqrt(Hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Increments:
+    """Motion over each of n sample pairs, in the body frame at its start, and its length.
+
+    `rotation` (n, 3, 3), `velocity` (n, 3), `position` (n, 3), gravity not included; `dt` (n,).
+    """
+
+    rotation: FloatArray
+    velocity: FloatArray
+    position: FloatArray
+    dt: FloatArray
+
+
+Integrator = Callable[[FloatArray, FloatArray, FloatArray], Increments]
+
+
+def integrate_discrete(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> Increments:
+    """Constant mean rates over each pair: gyro, accel (n + 1, 3) without bias, dt (n,)."""
+    w, a = 0.5 * (gyro[:-1] + gyro[1:]), 0.5 * (accel[:-1] + accel[1:])
+    step = dt[:, None]
+    return Increments(so3.exp(w * step), a * step, 0.5 * a * step**2, dt)
+
+
+def integrate_rk4(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> Increments:
+    """Runge-Kutta of 4th order with rates linear over each pair; arguments as above."""
+    h = dt[:, None]
+    w0, w1, a0, a1 = gyro[:-1], gyro[1:], accel[:-1], accel[1:]
+    wm, am = 0.5 * (w0 + w1), 0.5 * (a0 + a1)
+
+    # The rotation vector's rate is J_r^-1(φ) ω: one RK4 step on φ from zero.
+    def rate(phi: FloatArray, w: FloatArray) -> FloatArray:
+        return (so3.right_jacobian_inverse(phi) @ w[..., None])[..., 0]
+
+    k1 = w0
+    k2 = rate(0.5 * h * k1, wm)
+    k3 = rate(0.5 * h * k2, wm)
+    k4 = rate(h * k3, w1)
+    phi = h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    R_mid, R_end = so3.exp(0.5 * h * k2), so3.exp(phi)
+    # v' = R a and p' = v: with a(t) known, RK4 is Simpson's rule.
+    f0, fm, f1 = a0, (R_mid @ am[..., None])[..., 0], (R_end @ a1[..., None])[..., 0]
+    return Increments(
+        R_end, h / 6.0 * (f0 + 4.0 * fm + f1), h**2 / 6.0 * (f0 + 2.0 * fm), dt
+    )  # fmt: skip
+
+
+INTEGRATORS: dict[str, Integrator] = {"discrete": integrate_discrete, "rk4": integrate_rk4}
+
+
+@dataclass(frozen=True, slots=True)
+class Propagation:
+    """Result of one interval: the IMU state at its end, Φ (15, 15) and Q (15, 15)."""
+
+    imu: ImuState
+    transition: FloatArray
+    noise: FloatArray
+    angular_velocity: FloatArray
+
+
+def propagate_imu(
+    imu: ImuState,
+    imu_first: ImuState,
+    samples: ImuData,
+    noise: ImuNoise,
+    gravity: float,
+    integrator: Integrator,
+    max_gap_s: float = 0.1,
+) -> Propagation:
+    """Integrate `samples`, whose first and last stamps are the interval's ends.
+
+    Φ maps the error at the start to the end; its motion blocks are written by the positions at
+    both ends, the start taken at the first estimates (J. Hesch et al., TRO 2014), so that
+    transitions of consecutive intervals agree on what can not be observed.
+    """
+    dt = np.diff(samples.timestamp_ns) * 1e-9
+    gyro, accel = samples.gyro - imu.gyro_bias, samples.accel - imu.accel_bias
+    parts = integrator(gyro, accel, dt)
+    g = np.array([0.0, 0.0, -gravity])
+    R, v, p = imu.R_world_imu, imu.velocity, imu.position
+    mean_rate, mean_accel = 0.5 * (gyro[:-1] + gyro[1:]), 0.5 * (accel[:-1] + accel[1:])
+    F, Q = _interval_matrices(parts, mean_rate, mean_accel, noise, max_gap_s)
+    transition, covariance = np.eye(N_IMU), np.zeros((N_IMU, N_IMU))
+    for i, h in enumerate(dt):
+        # F and Q are in the body frame at the interval's start; turn velocity and position rows.
+        W = np.eye(N_IMU)
+        W[POSITION, POSITION] = W[VELOCITY, VELOCITY] = R
+        Wi = W.T
+        step = W @ F[i] @ Wi
+        covariance = step @ covariance @ step.T + W @ Q[i] @ Wi
+        transition = step @ transition
+        p = p + v * h + 0.5 * g * h * h + R @ parts.position[i]
+        v = v + g * h + R @ parts.velocity[i]
+        R = R @ parts.rotation[i]
+    R = so3.project_to_rotation(R)
+    end = replace(imu, R_world_imu=R, velocity=v, position=p)
+    transition = _with_first_estimates(transition, imu_first, end, float(dt.sum()), g)
+    return Propagation(end, transition, 0.5 * (covariance + covariance.T), gyro[-1])
+
+
+def propagate(state: State, result: Propagation, timestamp_ns: int) -> State:
+    """The state carried to `timestamp_ns` by a propagation; clones stay, correlated through Φ."""
+    P = state.covariance.copy()
+    P[:N_IMU] = result.transition @ P[:N_IMU]
+    P[:, :N_IMU] = P[:, :N_IMU] @ result.transition.T
+    P[:N_IMU, :N_IMU] += result.noise
+    return replace(
+        state,
+        timestamp_ns=timestamp_ns,
+        imu=result.imu,
+        imu_first=result.imu,
+        covariance=0.5 * (P + P.T),
+    )
+
+
+def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> State:
+    """The state with the present pose cloned as that of frame `frame_ns`.
+
+    The clone's error holds the time offset's: the pose is that of t_cam + offset, so it moves by
+    (ω, v)·δoffset (M. Li & A. Mourikis, IJRR 2014). `angular_velocity` (3,): body rates, rad/s.
+    """
+    n = len(state.covariance)
+    J = np.zeros((6, n))
+    J[:3, THETA] = J[3:, POSITION] = np.eye(3)
+    J[:3, TIME_OFFSET] = angular_velocity
+    J[3:, TIME_OFFSET] = state.imu.velocity
+    cross = J @ state.covariance
+    P = np.empty((n + 6, n + 6))
+    P[:n, :n] = state.covariance
+    P[n:, :n], P[:n, n:] = cross, cross.T
+    P[n:, n:] = cross @ J.T
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = state.imu.R_world_imu, state.imu.position
+    clones = Clones(
+        np.append(state.clones.timestamp_ns, frame_ns),
+        np.concatenate([state.clones.T_world_imu, T[None]]),
+        np.concatenate([state.clones.T_world_imu_first, T[None]]),
+    )
+    return replace(state, clones=clones, covariance=P)
+
+
+def _interval_matrices(
+    parts: Increments, rate: FloatArray, accel: FloatArray, noise: ImuNoise, max_gap_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Transition and noise (n, 15, 15) of each sample pair, world axes turned to the body's."""
+    n = len(parts.dt)
+    h = parts.dt[:, None, None]
+    eye = np.eye(3)
+    Jr = so3.right_jacobian(rate * parts.dt[:, None])
+    A = so3.hat(accel)
+    F = np.broadcast_to(np.eye(N_IMU), (n, N_IMU, N_IMU)).copy()
+    F[:, THETA, THETA] = np.swapaxes(parts.rotation, -1, -2)
+    F[:, THETA, GYRO_BIAS] = -Jr * h
+    F[:, POSITION, THETA] = -so3.hat(parts.position)
+    F[:, POSITION, VELOCITY] = eye * h
+    F[:, POSITION, GYRO_BIAS] = A * h**3 / 6.0
+    F[:, POSITION, ACCEL_BIAS] = -0.5 * eye * h**2
+    F[:, VELOCITY, THETA] = -so3.hat(parts.velocity)
+    F[:, VELOCITY, GYRO_BIAS] = 0.5 * A * h**2
+    F[:, VELOCITY, ACCEL_BIAS] = -eye * h
+
+    gap = h > max_gap_s
+    gyro_density = np.where(gap, _GAP_GYRO, noise.gyro)
+    accel_density = np.where(gap, _GAP_ACCEL, noise.accel)
+    G = np.zeros((n, N_IMU, 6))
+    G[:, THETA, :3] = -Jr * h
+    G[:, VELOCITY, 3:] = -eye * h
+    G[:, POSITION, 3:] = -0.5 * eye * h**2
+    density = np.concatenate([gyro_density * np.ones((n, 1, 3)), accel_density * np.ones((n, 1, 3))], 2)
+    G = G * density / np.sqrt(h)
+    Q = G @ np.swapaxes(G, -1, -2)
+    Q[:, GYRO_BIAS, GYRO_BIAS] += noise.gyro_walk**2 * h * eye
+    Q[:, ACCEL_BIAS, ACCEL_BIAS] += noise.accel_walk**2 * h * eye
+    return F, Q
+
+
+def _with_first_estimates(
+    transition: FloatArray, first: ImuState, end: ImuState, span: float, g: FloatArray
+) -> FloatArray:
+    """Φ with its rotation columns written by first estimates at the start."""
+    out = transition.copy()
+    R0 = first.R_world_imu
+    out[THETA, THETA] = end.R_world_imu.T @ R0
+    moved = end.position - first.position - first.velocity * span - 0.5 * g * span**2
+    out[POSITION, THETA] = -so3.hat(moved) @ R0
+    out[VELOCITY, THETA] = -so3.hat(end.velocity - first.velocity - g * span) @ R0
+    return out

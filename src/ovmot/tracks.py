@@ -1,0 +1,139 @@
+"""The table of what was seen: every feature in every frame of the window, as arrays.
+
+Rows are frames, columns are features. A frame's pose is held by a clone of the filter; while the
+rig stands, several frames share one clone, so a row names its clone. Functions return new tables.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.types import FrontendFrame
+
+
+@dataclass(frozen=True, slots=True)
+class TrackTable:
+    """T frames by F features.
+
+    `frame_ns`, `clone_ns` (T,): the frame's stamp and that of the clone that holds its pose.
+    `pixels`, `normalized` (T, F, 4): left u, v and right u, v, NaN where unseen; distorted pixels
+    and undistorted plane coordinates. `hops` (F,): KLT steps so far. `used` (T, F): observations
+    that an update has taken. `barred` (F,): features that no update may ever use, since they
+    were found to move.
+    """
+
+    frame_ns: IntArray
+    clone_ns: IntArray
+    feature_id: IntArray
+    pixels: FloatArray
+    normalized: FloatArray
+    hops: IntArray
+    used: BoolArray
+    barred: BoolArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of frames and of features."""
+        return len(self.frame_ns), len(self.feature_id)
+
+    @property
+    def seen_now(self) -> BoolArray:
+        """Features (F,) that the newest frame holds."""
+        if len(self.frame_ns) == 0:
+            return np.zeros(len(self.feature_id), dtype=np.bool_)
+        return np.isfinite(self.pixels[-1, :, 0])
+
+
+def empty_table() -> TrackTable:
+    """A table of no frames and no features."""
+    ints = np.empty(0, dtype=np.int64)
+    seen = np.empty((0, 0, 4))
+    return TrackTable(
+        ints, ints, ints, seen, seen, ints, np.empty((0, 0), np.bool_), np.empty(0, np.bool_)
+    )
+
+
+def append_frame(table: TrackTable, seen: FrontendFrame) -> TrackTable:
+    """The table with one more row, and a column for each feature that is new in it."""
+    n_rows, n_old = table.shape
+    new_ids = seen.feature_id[~np.isin(seen.feature_id, table.feature_id)]
+    n_new = len(new_ids)
+    feature_id = np.concatenate([table.feature_id, new_ids])
+    order = np.argsort(feature_id)
+    column = order[np.searchsorted(feature_id, seen.feature_id, sorter=order)]
+
+    pixels = np.full((n_rows + 1, n_old + n_new, 4), np.nan)
+    normalized = np.full_like(pixels, np.nan)
+    pixels[:n_rows, :n_old], normalized[:n_rows, :n_old] = table.pixels, table.normalized
+    pixels[n_rows, column], normalized[n_rows, column] = seen.pixels, seen.normalized
+    hops = np.concatenate([table.hops, np.zeros(n_new, dtype=np.int64)])
+    hops[column] = seen.hops
+    used = np.zeros((n_rows + 1, n_old + n_new), dtype=np.bool_)
+    used[:n_rows, :n_old] = table.used
+    return TrackTable(
+        frame_ns=np.append(table.frame_ns, seen.timestamp_ns),
+        clone_ns=np.append(table.clone_ns, seen.timestamp_ns),
+        feature_id=feature_id,
+        pixels=pixels,
+        normalized=normalized,
+        hops=hops,
+        used=used,
+        barred=np.concatenate([table.barred, np.zeros(n_new, dtype=np.bool_)]),
+    )
+
+
+def bar_features(table: TrackTable, feature_id: IntArray) -> TrackTable:
+    """The table with these features closed to the filter for good."""
+    return replace(table, barred=table.barred | np.isin(table.feature_id, feature_id))
+
+
+def mark_used(table: TrackTable, used: BoolArray) -> TrackTable:
+    """The table with these observations (T, F) taken by an update."""
+    return replace(table, used=table.used | used)
+
+
+def share_clone(table: TrackTable, dropped_ns: int, kept_ns: int) -> TrackTable:
+    """Rows whose clone `dropped_ns` leaves the state, since the rig stood, point to `kept_ns`."""
+    return replace(
+        table, clone_ns=np.where(table.clone_ns == dropped_ns, kept_ns, table.clone_ns)
+    )
+
+
+def keep_window(table: TrackTable, clone_ns: IntArray, max_frames: int) -> TrackTable:
+    """Only rows whose clone is still there, at most `max_frames` of them, and no dead columns.
+
+    A column lives while the newest row or an observation that no update has used holds it.
+    """
+    rows = np.isin(table.clone_ns, clone_ns)
+    own = table.frame_ns == table.clone_ns  # these are the filter's: never thinned out
+    spare = np.flatnonzero(rows & ~own)
+    excess = int(rows.sum()) - max_frames
+    if excess > 0:
+        rows[spare[: min(excess, len(spare))]] = False
+    table = _select_rows(table, rows)
+    fresh = np.isfinite(table.pixels[..., 0]) & ~table.used & ~table.barred
+    return _select_columns(table, table.seen_now | fresh.any(axis=0))
+
+
+def _select_rows(table: TrackTable, rows: BoolArray) -> TrackTable:
+    return replace(
+        table,
+        frame_ns=table.frame_ns[rows],
+        clone_ns=table.clone_ns[rows],
+        pixels=table.pixels[rows],
+        normalized=table.normalized[rows],
+        used=table.used[rows],
+    )
+
+
+def _select_columns(table: TrackTable, columns: BoolArray) -> TrackTable:
+    return replace(
+        table,
+        feature_id=table.feature_id[columns],
+        pixels=table.pixels[:, columns],
+        normalized=table.normalized[:, columns],
+        hops=table.hops[columns],
+        used=table.used[:, columns],
+        barred=table.barred[columns],
+    )
