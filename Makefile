@@ -1,0 +1,64 @@
+# Every target sets up what it needs: a fresh clone needs only Python 3.11+, its venv module and make.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PYTEST_FLAGS ?= -n auto
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+# pip's own settings (extra indexes, folders of wheels) must leave no trace in a lock file
+PIP_TOOLS := pip-tools==7.6.2
+CLEAN_PIP := env -u PIP_INDEX_URL -u PIP_EXTRA_INDEX_URL -u PIP_FIND_LINKS PIP_CONFIG_FILE=/dev/null
+COMPILE := --quiet --generate-hashes --strip-extras --allow-unsafe --no-emit-options \
+	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host
+
+.DEFAULT_GOAL := help
+.PHONY: help install install-reference demo test check bench lock clean
+
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+install: $(STAMP) ## make .venv and install the locked dependencies and ovmot into it
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "ovmot needs Python 3.11 or newer as '$(PYTHON)': sudo apt-get install python3.11 python3.11-venv, then make PYTHON=python3.11" >&2; exit 1; }
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
+		rm -rf $(VENV); echo "$(PYTHON) cannot make a virtual environment: sudo apt-get install python3-venv (or, for another Python than the system's, pythonX.Y-venv)" >&2; exit 1; }
+	@echo "installing ovmot into $(VENV)"
+	@$(PIP_INSTALL) --require-hashes -r requirements.lock
+	@$(PIP_INSTALL) --no-build-isolation --no-deps -e .
+	@touch $@
+
+install-reference: install ## add the reference tools that some tests compare with
+	$(PIP_INSTALL) --require-hashes -r requirements-reference.lock
+
+demo: install ## simulate a small street, run ovmot on it, say where the results are
+	$(BIN)/python examples/demo.py
+
+test: install ## run the tests
+	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+check: install ## lint, format, types, layers
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+bench: install ## measure frames per second and milliseconds per stage
+	$(BIN)/python benchmarks/bench.py
+
+lock: ## bring the lock files in line with pyproject.toml (UPGRADE=--upgrade: newest versions)
+	@tools=$$(mktemp -d) && trap 'rm -rf "$$tools"' EXIT && \
+	$(PYTHON) -m venv "$$tools" && \
+	$(CLEAN_PIP) "$$tools/bin/pip" install --quiet --disable-pip-version-check $(PIP_TOOLS) && \
+	export CUSTOM_COMPILE_COMMAND='make lock' && \
+	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) \
+		--extra dev -o requirements.lock pyproject.toml && \
+	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) -c requirements.lock \
+		--extra reference -o requirements-reference.lock pyproject.toml
+
+clean: ## remove the virtual environment and every cache
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
