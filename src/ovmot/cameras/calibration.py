@@ -1,0 +1,209 @@
+"""What calibration files have in common: safe YAML, checked numbers, errors that name the key."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.errors import CalibrationError
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.types import ImuNoise
+
+LENS_NAMES = {
+    "radtan": "radtan",
+    "radial-tangential": "radtan",
+    "plumb_bob": "radtan",
+    "equidistant": "equidistant",
+    "none": "none",
+}
+"""Lens names of Kalibr, EuRoC and ROS, and our names of them."""
+
+NOISE_KEYS = {
+    "gyro": "gyroscope_noise_density",
+    "gyro_walk": "gyroscope_random_walk",
+    "accel": "accelerometer_noise_density",
+    "accel_walk": "accelerometer_random_walk",
+}
+"""Keys of the noise densities, the same in Kalibr and EuRoC files."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A stereo rig and, where the files say it, the noise of its IMU."""
+
+    rig: StereoRig
+    imu_noise: ImuNoise | None
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that takes OpenCV's `!!opencv-matrix` as a plain mapping."""
+
+
+def _plain_mapping(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, "expected rows, cols, data")
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _plain_mapping)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationNode:
+    """A mapping in a calibration file that knows where it came from."""
+
+    path: Path
+    place: str
+    data: Mapping[str, Any]
+
+    def fail(self, key: str, problem: str, remedy: str = "correct the file") -> CalibrationError:
+        """The error for `key`: file, full key, problem, remedy."""
+        name = f"{self.place}.{key}" if self.place else key
+        return CalibrationError(f"{self.path}: '{name}': {problem}; {remedy}")
+
+    def has(self, key: str) -> bool:
+        return self.data.get(key) is not None
+
+    def value(self, key: str) -> Any:
+        """What stands under `key`; raises `CalibrationError` if nothing does."""
+        if not self.has(key):
+            raise self.fail(key, "this key is missing", "add it")
+        return self.data[key]
+
+    def child(self, key: str) -> "CalibrationNode":
+        """The mapping under `key`."""
+        value = self.value(key)
+        if not isinstance(value, dict):
+            raise self.fail(key, f"expected keys below it, found {_short(value)}")
+        return CalibrationNode(self.path, f"{self.place}.{key}".lstrip("."), value)
+
+    def number(self, key: str) -> float:
+        """One finite number."""
+        return float(self.numbers(key, (1,))[0])
+
+    def numbers(self, key: str, shape: tuple[int, ...]) -> FloatArray:
+        """Finite numbers of this shape, as nested lists, a flat list or OpenCV's matrix."""
+        value = self.value(key)
+        stated = None
+        if isinstance(value, dict):
+            stated = value.get("rows"), value.get("cols")
+            value = value.get("data")
+        try:  # through text, since YAML reads 2e-3 as a string
+            flat = np.array(value, dtype=str).astype(np.float64).ravel()
+        except (ValueError, TypeError):
+            raise self.fail(key, f"expected numbers, found {_short(value)}") from None
+        allowed = (None, shape) if len(shape) == 2 else (None, (1, *shape), (*shape, 1))
+        if flat.size != np.prod(shape) or stated not in allowed:
+            wanted = "x".join(str(n) for n in shape)
+            raise self.fail(key, f"expected {wanted} numbers, found {_short(value)}")
+        if not np.all(np.isfinite(flat)):
+            raise self.fail(key, "holds a number that is not finite")
+        return flat.reshape(shape)
+
+    def coefficients(self, key: str) -> FloatArray:
+        """Finite numbers of any count, (k,)."""
+        value = self.value(key)
+        inner = value.get("data") if isinstance(value, dict) else value
+        if not isinstance(inner, list):
+            raise self.fail(key, f"expected a list of numbers, found {_short(inner)}")
+        if not inner:
+            return np.empty(0)
+        return CalibrationNode(self.path, self.place, {key: inner}).numbers(key, (len(inner),))
+
+    def transform(self, key: str) -> FloatArray:
+        """A rigid motion (4, 4), its rotation cleaned of rounding."""
+        T = self.numbers(key, (4, 4))
+        R = T[:3, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+            raise self.fail(key, "the upper left 3x3 part is not a rotation")
+        if np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-9:
+            raise self.fail(key, "the last row must be 0 0 0 1")
+        return se3.make(so3.project_to_rotation(R), T[:3, 3])
+
+    def size(self, key: str) -> tuple[int, int]:
+        """Width and height in whole pixels."""
+        width, height = self.numbers(key, (2,))
+        if width <= 0 or height <= 0 or width % 1 or height % 1:
+            raise self.fail(key, f"no image is {width:g}x{height:g} pixels")
+        return int(width), int(height)
+
+    def lens(self, key: str) -> str:
+        """Our name of the lens model."""
+        name = str(self.value(key)).strip().lower()
+        if name not in LENS_NAMES:
+            raise self.fail(key, f"unknown lens model '{name}'", f"known: {', '.join(LENS_NAMES)}")
+        return LENS_NAMES[name]
+
+
+def load_calibration_yaml(path: Path) -> CalibrationNode:
+    """The mapping of a YAML file, also with OpenCV's header `%YAML:1.0` and matrices.
+
+    Raises `CalibrationError` if the file is missing, is no YAML or holds no keys.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such calibration file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path}: cannot be read as text: {error}") from None
+    text = re.sub(r"\A\s*%YAML[^\n]*", "", text)  # OpenCV's form is not a YAML directive
+    try:
+        data = yaml.load(text, _Loader)  # a SafeLoader
+    except yaml.YAMLError as error:
+        raise CalibrationError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict):
+        raise CalibrationError(f"{path}: holds no keys; is this a calibration file?")
+    return CalibrationNode(path, "", data)
+
+
+def read_pinhole(node: CalibrationNode, coefficients_key: str) -> Camera:
+    """The camera of a Kalibr or EuRoC mapping; their keys differ in the coefficients' name only."""
+    model = str(node.data.get("camera_model", "pinhole"))
+    if model != "pinhole":
+        raise node.fail("camera_model", f"'{model}' is not known", "calibrate with 'pinhole'")
+    lens = node.lens("distortion_model")
+    distortion = node.coefficients(coefficients_key) if lens != "none" else np.empty(0)
+    fx, fy, cx, cy = node.numbers("intrinsics", (4,))
+    size = node.size("resolution")
+    if min(fx, fy) <= 0.0:
+        raise node.fail("intrinsics", f"focal lengths {fx:g}, {fy:g} are not positive")
+    try:
+        return Camera.make(size, (fx, fy), (cx, cy), lens, distortion)
+    except CalibrationError as error:
+        raise node.fail(coefficients_key, str(error)) from None
+
+
+def read_imu_noise(node: CalibrationNode) -> ImuNoise:
+    """The four noise densities of an IMU mapping; raises `CalibrationError` unless positive."""
+    values = {}
+    for name, key in NOISE_KEYS.items():
+        values[name] = node.number(key)
+        if values[name] <= 0.0:
+            raise node.fail(key, f"{values[name]:g} is not a noise density", "it is positive")
+    return ImuNoise(**values)
+
+
+def make_rig(
+    path: Path,
+    cameras: tuple[Camera, Camera],
+    T_imu_cam: tuple[FloatArray, FloatArray],
+    time_offset_s: float = 0.0,
+) -> StereoRig:
+    """The rig of two cameras and their poses; an impossible one is blamed on `path`."""
+    try:
+        rig = StereoRig(*cameras, *T_imu_cam, time_offset_s)
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}; correct the file") from None
+    return rig.with_orthonormal_rotations()
+
+
+def _short(value: Any) -> str:
+    text = " ".join(str(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,79 @@
+"""Calibration files of Kalibr and of OpenVINS (`kalibr_imucam_chain.yaml`)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.cameras.calibration import (
+    Calibration,
+    CalibrationNode,
+    load_calibration_yaml,
+    make_rig,
+    read_imu_noise,
+    read_pinhole,
+)
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.types import ImuNoise
+
+CHAIN_FILE = "kalibr_imucam_chain.yaml"
+IMU_FILE = "kalibr_imu_chain.yaml"
+_MAX_CLOCK_DIFFERENCE_S = 0.002
+
+
+def read_kalibr(path: Path) -> Calibration:
+    """Rig and IMU noise of a chain file, or of a folder that holds `kalibr_imucam_chain.yaml`.
+
+    The noise comes from `kalibr_imu_chain.yaml` beside it and is None without that file.
+    Raises `CalibrationError` with file, key and remedy.
+    """
+    chain = path / CHAIN_FILE if path.is_dir() else path
+    imu = chain.with_name(IMU_FILE)
+    return Calibration(read_kalibr_rig(chain), read_kalibr_noise(imu) if imu.exists() else None)
+
+
+def read_kalibr_rig(path: Path) -> StereoRig:
+    """The rig of `cam0` and `cam1`, placed by `T_cam_imu`, `T_imu_cam` or `T_cn_cnm1`.
+
+    `timeshift_cam_imu` is Kalibr's: t_imu = t_cam + shift, seconds, absent means 0.
+    """
+    node = load_calibration_yaml(path)
+    cam0, cam1 = node.child("cam0"), node.child("cam1")
+    T_imu_cam0 = _pose_on_imu(cam0, None)
+    T_imu_cam1 = _pose_on_imu(cam1, T_imu_cam0)
+    cameras = read_pinhole(cam0, "distortion_coeffs"), read_pinhole(cam1, "distortion_coeffs")
+    return make_rig(path, cameras, (T_imu_cam0, T_imu_cam1), _time_offset(cam0, cam1))
+
+
+def read_kalibr_noise(path: Path) -> ImuNoise:
+    """Noise densities of an IMU chain file (`imu0:`) or of Kalibr's plain `imu.yaml`."""
+    node = load_calibration_yaml(path)
+    imu = node.child("imu0") if node.has("imu0") else node
+    if imu.has("T_i_b") and np.abs(imu.transform("T_i_b") - np.eye(4)).max() > 1e-6:
+        remedy = "give the cameras relative to this IMU"
+        raise imu.fail("T_i_b", "the IMU is not the body frame", remedy)
+    return read_imu_noise(imu)
+
+
+def _pose_on_imu(camera: CalibrationNode, T_imu_previous: FloatArray | None) -> FloatArray:
+    """T_imu_cam of a camera, from whichever key says it."""
+    if camera.has("T_imu_cam"):
+        return camera.transform("T_imu_cam")
+    if camera.has("T_cam_imu"):
+        return se3.inverse(camera.transform("T_cam_imu"))
+    if T_imu_previous is not None and camera.has("T_cn_cnm1"):
+        return T_imu_previous @ se3.inverse(camera.transform("T_cn_cnm1"))
+    raise camera.fail("T_cam_imu", "the camera's pose is missing", "add T_cam_imu or T_imu_cam")
+
+
+def _time_offset(cam0: CalibrationNode, cam1: CalibrationNode) -> float:
+    key = "timeshift_cam_imu"
+    first, second = (cam.number(key) if cam.has(key) else None for cam in (cam0, cam1))
+    if first is not None and second is not None and abs(first - second) > _MAX_CLOCK_DIFFERENCE_S:
+        raise cam1.fail(
+            key,
+            f"{second:g} s, but {first:g} s for cam0",
+            "the two cameras of a rig are exposed together",
+        )
+    return first if first is not None else second or 0.0

@@ -1,0 +1,97 @@
+"""A recorded sequence, described: everything known of it before the first image is decoded."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.cameras.calibration import Calibration
+from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.findings import Findings
+from ovmot.datasets.frames import StereoListing
+from ovmot.errors import DatasetError
+from ovmot.formats import ns_to_seconds
+from ovmot.geometry.arrays import Image, IntArray
+from ovmot.types import ImuData, ImuNoise
+
+Decode = Callable[[Path], Image]
+
+
+@dataclass(frozen=True, slots=True)
+class FolderSequence:
+    """M stereo pairs in files, and the IMU beside them.
+
+    `frame_ns` (M,) are the cameras' stamps in ns, rising; `imu` is None where the data has none
+    (ego poses must then come from a file), `imu_noise` None where the data does not say it.
+    `decode` turns a file into a grey image. `warnings` are sentences for the user; `counts` the
+    numbers behind them.
+    """
+
+    kind: str
+    name: str
+    root: Path
+    rig: StereoRig
+    imu_noise: ImuNoise | None
+    imu: ImuData | None
+    frame_ns: IntArray
+    left_paths: tuple[Path, ...]
+    right_paths: tuple[Path, ...]
+    decode: Decode
+    warnings: tuple[str, ...]
+    counts: Mapping[str, int]
+
+    def __len__(self) -> int:
+        return len(self.frame_ns)
+
+
+def assemble(
+    *,
+    kind: str,
+    name: str,
+    root: Path,
+    calibration: Calibration,
+    listing: StereoListing,
+    imu: ImuData | None,
+    decode: Decode,
+    findings: Findings,
+) -> FolderSequence:
+    """Put a sequence together; frames that the IMU does not cover are dropped and counted.
+
+    Raises `DatasetError` if it covers none of them.
+    """
+    keep = np.arange(len(listing.frame_ns))
+    if imu is not None:
+        keep = _covered(listing.frame_ns, imu, calibration.rig.time_offset_s, root)
+        lost = len(listing.frame_ns) - len(keep)
+        text = f"{root}: {lost} frames before the first or after the last IMU sample: dropped"
+        findings.note("frames_outside_imu", lost, text)
+    return FolderSequence(
+        kind=kind,
+        name=name,
+        root=root,
+        rig=calibration.rig,
+        imu_noise=calibration.imu_noise,
+        imu=imu,
+        frame_ns=listing.frame_ns[keep],
+        left_paths=tuple(listing.left_paths[i] for i in keep),
+        right_paths=tuple(listing.right_paths[i] for i in keep),
+        decode=decode,
+        warnings=tuple(findings.warnings),
+        counts=dict(findings.counts),
+    )
+
+
+def _covered(frame_ns: IntArray, imu: ImuData, time_offset_s: float, root: Path) -> IntArray:
+    """Indices of the frames between the first and the last IMU sample, by the IMU's clock."""
+    at = frame_ns + round(time_offset_s * 1e9)
+    first, last = imu.timestamp_ns[0], imu.timestamp_ns[-1]
+    keep = np.flatnonzero((at >= first) & (at <= last))
+    if len(keep) == 0:
+        spans = [ns_to_seconds(int(t)) for t in (frame_ns[0], frame_ns[-1], first, last)]
+        problem = (
+            f"images ({spans[0]} ... {spans[1]} s) and IMU ({spans[2]} ... {spans[3]} s)"
+            " do not overlap"
+        )
+        raise DatasetError.at(root, problem, "stamps are nanoseconds of one clock; check both")
+    return keep

@@ -1,0 +1,345 @@
+"""Trajectories, poses and sensor tables as files: TUM, KITTI, EuRoC and KAIST rows.
+
+Stamps stay exact: nanoseconds are read as integers, and seconds as decimal text, never through
+a float. Lines that are empty or start with `#` are skipped, and so is a line of column names at
+the top. Every error names the file and the row (1-based, as an editor counts).
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ovmot.errors import DatasetError, InputError
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
+
+MAX_POSE_GAP_S = 0.15
+"""Poses farther apart than this are not interpolated."""
+
+# Camera axes (x right, y down, z forward) in a world of x forward, y left, z up.
+R_WORLD_CAMERA_AXES: FloatArray = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+_NS = 1_000_000_000
+_INT64 = 2**63
+
+
+@dataclass(frozen=True, slots=True)
+class StampedTable:
+    """A table of a file: stamps (N,) in ns, values (N, K), and the file's row of each (N,)."""
+
+    path: Path
+    timestamp_ns: IntArray
+    values: FloatArray
+    row: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class StampedNames:
+    """Stamps (N,) in ns, the text beside each (empty where none), and the file's row of each."""
+
+    path: Path
+    timestamp_ns: IntArray
+    names: tuple[str, ...]
+    row: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses over time, in order: stamps (N,) in ns and T_world_imu (N, 4, 4), metres."""
+
+    timestamp_ns: IntArray
+    T_world_imu: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class EgoPoses:
+    """The rig's pose at each of M frames: `T_world_body` (M, 4, 4), NaN where there is none.
+
+    `body` says whose poses they are: the IMU's or the left camera's (z forward, y down). Gravity
+    points along -z of the world.
+    """
+
+    timestamp_ns: IntArray
+    T_world_body: FloatArray
+    body: Literal["imu", "cam0"]
+
+    @property
+    def known(self) -> BoolArray:
+        """Which frames (M,) have a pose."""
+        return np.isfinite(self.T_world_body[:, 0, 0])
+
+
+def seconds_to_ns(text: str) -> int:
+    """Nanoseconds of a decimal number of seconds, exactly; raises `ValueError` for other text."""
+    try:
+        value = Decimal(text)
+        return int((value * _NS).to_integral_value())
+    except (InvalidOperation, OverflowError, ValueError):
+        raise ValueError(f"'{text}' is not a time in seconds") from None
+
+
+def ns_to_seconds(timestamp_ns: int) -> str:
+    """Seconds with nine decimals, exactly."""
+    seconds, rest = divmod(abs(int(timestamp_ns)), _NS)
+    return f"{'-' if timestamp_ns < 0 else ''}{seconds}.{rest:09d}"
+
+
+def tum_line(timestamp_ns: int, T_world_imu: FloatArray) -> str:
+    """One TUM row without line end: seconds, position in metres, quaternion x y z w."""
+    q = so3.to_quaternion(T_world_imu[:3, :3])
+    numbers = " ".join(f"{value:.9f}" for value in (*T_world_imu[:3, 3], *q))
+    return f"{ns_to_seconds(timestamp_ns)} {numbers}"
+
+
+def write_tum(path: Path, timestamp_ns: IntArray, T_world_imu: FloatArray) -> None:
+    """Write stamps (N,) and poses (N, 4, 4) as a TUM trajectory."""
+    rows = [tum_line(int(t), T) for t, T in zip(timestamp_ns, T_world_imu, strict=True)]
+    path.write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
+
+
+def read_tum(path: Path) -> Trajectory:
+    """A TUM trajectory: seconds, position, quaternion x y z w; equal stamps keep the first.
+
+    Raises `InputError` for an unreadable row, stamps that run backwards or a quaternion that is
+    not of unit length.
+    """
+    lines = _read_lines(path, InputError)
+    values = lines.parse(np.dtype(np.float64), 8, None)
+    try:
+        stamps = [seconds_to_ns(text.split(None, 1)[0]) for text in lines.text]
+        timestamp_ns = np.array(stamps, dtype=np.int64)
+    except (ValueError, OverflowError) as error:
+        raise InputError.at(path, str(error), "stamps are decimal seconds") from None
+    return _trajectory(path, timestamp_ns, values[:, 1:4], values[:, 4:8], lines.row)
+
+
+def read_kitti_poses(path: Path) -> FloatArray:
+    """Poses (N, 4, 4) of a file of 3x4 matrices, twelve numbers a row.
+
+    Raises `InputError` for a row of something else.
+    """
+    lines = _read_lines(path, InputError)
+    values = lines.parse(np.dtype(np.float64), 12, None).reshape(-1, 3, 4)
+    R = values[:, :, :3]
+    wrong = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(1, 2)) > 1e-2
+    wrong |= np.linalg.det(R) < 0.0
+    if np.any(wrong):
+        row = int(lines.row[int(np.argmax(wrong))])
+        raise InputError.at(path, "not a rotation", "a row is a 3x4 pose matrix", row=row)
+    return se3.make(so3.project_to_rotation(R), values[:, :, 3])
+
+
+def write_kitti_poses(path: Path, T_world_cam0: FloatArray) -> None:
+    """Write poses (N, 4, 4) as rows of twelve numbers."""
+    rows = (" ".join(f"{x:.9e}" for x in T[:3].ravel()) for T in T_world_cam0)
+    path.write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
+
+
+def read_stamped_csv(path: Path, n_columns: int) -> StampedTable:
+    """A comma-separated table: whole nanoseconds, then `n_columns` - 1 finite numbers.
+
+    Raises `DatasetError` naming the first row that is something else.
+    """
+    lines = _read_lines(path, DatasetError)
+    layout = np.dtype([("stamp", "i8"), ("values", "f8", (n_columns - 1,))])
+    table = lines.parse(layout, n_columns, ",")
+    return StampedTable(path, table["stamp"], table["values"], lines.row)
+
+
+def read_stamped_names(path: Path) -> StampedNames:
+    """A list of whole nanoseconds, each with the name of a file after a comma or alone.
+
+    Raises `DatasetError` naming the first row that is something else.
+    """
+    lines = _read_lines(path, DatasetError)
+    stamps, names = [], []
+    for row, text in zip(lines.row, lines.text, strict=True):
+        stamp, _, name = text.partition(",")
+        if not _is_stamp(stamp):
+            problem = f"'{stamp.strip()[:40]}' is not a stamp in whole nanoseconds"
+            raise DatasetError.at(path, problem, "correct or delete the row", row=int(row))
+        stamps.append(int(stamp))
+        names.append(name.strip())
+    return StampedNames(path, np.array(stamps, dtype=np.int64), tuple(names), lines.row)
+
+
+def read_euroc_ground_truth(path: Path) -> Trajectory:
+    """Truth of a EuRoC folder: ns, position, quaternion w x y z; further columns are left out.
+
+    Raises `InputError` like `read_tum`.
+    """
+    n_columns = column_count(path, ",")
+    if n_columns not in (8, 17):
+        raise InputError.at(path, f"{n_columns} columns", "8 or 17 are known (EuRoC ground truth)")
+    table = read_stamped_csv(path, n_columns)
+    q_xyzw = table.values[:, [4, 5, 6, 3]]
+    return _trajectory(path, table.timestamp_ns, table.values[:, :3], q_xyzw, table.row)
+
+
+def column_count(path: Path, delimiter: str | None) -> int:
+    """Number of columns of the first row that holds data, 0 for an empty file."""
+    lines = _read_lines(path, InputError)
+    return len(lines.text[0].split(delimiter)) if lines.text else 0
+
+
+def read_ego_poses(path: Path, frame_stamps_ns: IntArray) -> EgoPoses:
+    """Poses of the rig at the frames (M,) from a TUM (8 columns) or KITTI (12 columns) file.
+
+    TUM rows are T_world_imu; between rows at most 0.15 s apart the pose is interpolated, and
+    other frames have none. KITTI rows are T_world_cam0, one a frame, whose world has the first
+    camera's axes: it is turned so that x is forward, y left and z up.
+    Raises `InputError` where the file is neither, or does not fit the frames.
+    """
+    n_columns = column_count(path, None)
+    if n_columns == 12:
+        T_world_cam0 = read_kitti_poses(path)
+        if len(T_world_cam0) != len(frame_stamps_ns):
+            problem = f"{len(T_world_cam0)} poses for {len(frame_stamps_ns)} frames"
+            raise InputError.at(path, problem, "a KITTI pose file has one row a frame")
+        T_turn = se3.make(R_WORLD_CAMERA_AXES, np.zeros(3))
+        return EgoPoses(frame_stamps_ns, T_turn @ T_world_cam0, "cam0")
+    if n_columns != 8:
+        remedy = "8 columns (TUM) or 12 (KITTI), separated by blanks, are known"
+        raise InputError.at(path, f"{n_columns} columns in the first row", remedy)
+    trajectory = read_tum(path)
+    ego = EgoPoses(frame_stamps_ns, interpolate_poses(trajectory, frame_stamps_ns), "imu")
+    if not np.any(ego.known):
+        span = [ns_to_seconds(int(t)) for t in trajectory.timestamp_ns[[0, -1]]]
+        problem = f"no frame lies between its stamps {span[0]} s ... {span[1]} s"
+        raise InputError.at(path, problem, "check that poses and images share one clock")
+    return ego
+
+
+def interpolate_poses(
+    trajectory: Trajectory, timestamp_ns: IntArray, max_gap_s: float = MAX_POSE_GAP_S
+) -> FloatArray:
+    """Poses (M, 4, 4) at stamps (M,): SLERP and linear; NaN where the neighbours are too far."""
+    known, T = trajectory.timestamp_ns, trajectory.T_world_imu
+    right = np.searchsorted(known, timestamp_ns)
+    after = np.minimum(right, len(known) - 1)
+    exact = known[after] == timestamp_ns
+    before = np.where(exact, after, np.maximum(right - 1, 0))
+    gap = known[after] - known[before]
+    usable = exact | ((right > 0) & (right < len(known)) & (gap <= max_gap_s * _NS))
+    share = (timestamp_ns - known[before]) / np.where(gap > 0, gap, 1)
+    R_before, R_after = T[before, :3, :3], T[after, :3, :3]
+    turn = so3.log(np.swapaxes(R_before, -1, -2) @ R_after)
+    p_before, p_after = T[before, :3, 3], T[after, :3, 3]
+    R = R_before @ so3.exp(share[:, None] * turn)
+    out = se3.make(R, p_before + share[:, None] * (p_after - p_before))
+    out[~usable] = np.nan
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """The data lines of a text file, with the file's row of each (N,)."""
+
+    path: Path
+    error: type[InputError]
+    text: list[str]
+    row: IntArray
+
+    def parse(self, layout: np.dtype[Any], n_columns: int, delimiter: str | None) -> AnyArray:
+        """The lines as an array of `layout`, by NumPy's parser; errors name the bad row."""
+        if not self.text:
+            raise self.error.at(self.path, "holds no data", "is this the right file?")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # NumPy reads 1.5e18 as an integer, warning only
+                table: AnyArray = np.loadtxt(
+                    self.text,
+                    dtype=layout,
+                    delimiter=delimiter,
+                    comments=None,
+                    ndmin=1 if layout.names else 2,
+                )
+            if not layout.names and table.shape[1] != n_columns:
+                raise ValueError(f"{table.shape[1]} columns")
+        except (ValueError, OverflowError, Warning) as error:
+            self._complain(n_columns, delimiter, layout.names is not None)
+            raise self.error.at(self.path, f"cannot be read: {error}") from None
+        numbers = table["values"] if layout.names else table
+        broken = ~np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
+        if np.any(broken):
+            row = int(self.row[int(np.argmax(broken))])
+            problem = "holds a number that is not finite"
+            raise self.error.at(self.path, problem, "correct or delete the row", row=row)
+        return table
+
+    def _complain(self, n_columns: int, delimiter: str | None, stamped: bool) -> None:
+        """Raise for the first row that has not `n_columns` numbers; return if there is none."""
+        remedy = "correct or delete the row"
+        for row, text in zip(self.row, self.text, strict=True):
+            fields = text.split(delimiter)
+            if len(fields) != n_columns:
+                problem = f"{len(fields)} columns where {n_columns} are expected"
+                raise self.error.at(self.path, problem, remedy, row=int(row))
+            if stamped and not _is_stamp(fields[0]):
+                problem = f"'{fields[0].strip()[:40]}' is not a stamp in whole nanoseconds"
+                raise self.error.at(self.path, problem, remedy, row=int(row))
+            for field in fields:
+                if not _is_number(field):
+                    problem = f"'{field.strip()[:40]}' is not a number"
+                    raise self.error.at(self.path, problem, remedy, row=int(row))
+
+
+def _read_lines(path: Path, error: type[InputError]) -> _Lines:
+    try:
+        everything = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise error.at(path, "no such file") from None
+    except (OSError, UnicodeDecodeError) as problem:
+        raise error.at(path, f"cannot be read as text: {problem}") from None
+    rows: list[int] = []
+    text: list[str] = []
+    for row, line in enumerate(everything, start=1):
+        stripped = line.strip()
+        if not stripped or stripped.startswith("#"):
+            continue
+        if not text and row == 1 and stripped[0].isalpha() and not _is_number(_first(stripped)):
+            continue  # names of columns
+        rows.append(row)
+        text.append(stripped)
+    return _Lines(path, error, text, np.array(rows, dtype=np.int64))
+
+
+def _first(line: str) -> str:
+    return line.replace(",", " ").split(None, 1)[0]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_stamp(text: str) -> bool:
+    digits = text.strip().removeprefix("-")
+    return digits.isascii() and digits.isdigit() and int(digits) < _INT64
+
+
+def _trajectory(
+    path: Path, timestamp_ns: IntArray, position: FloatArray, q_xyzw: FloatArray, row: IntArray
+) -> Trajectory:
+    """Poses from checked columns; raises `InputError` for bad quaternions or order."""
+    norm = np.linalg.norm(q_xyzw, axis=-1)
+    _refuse_first(path, row, np.abs(norm - 1.0) > 0.02, "the quaternion is not of unit length")
+    backwards = np.concatenate([[False], np.diff(timestamp_ns) < 0])
+    _refuse_first(path, row, backwards, "the stamp lies before that of the row above")
+    fresh = np.concatenate([[True], np.diff(timestamp_ns) > 0])
+    R = so3.from_quaternion(q_xyzw[fresh] / norm[fresh, None])
+    return Trajectory(timestamp_ns[fresh], se3.make(R, position[fresh]))
+
+
+def _refuse_first(path: Path, rows: Sequence[int] | IntArray, bad: BoolArray, what: str) -> None:
+    if np.any(bad):
+        remedy = "correct or delete the row"
+        raise InputError.at(path, what, remedy, row=int(rows[int(np.argmax(bad))]))
