@@ -91,6 +91,7 @@ class CalibrationNode:
     def numbers(self, key: str, shape: tuple[int, ...]) -> FloatArray:
         """Finite numbers of this shape, as nested lists, a flat list or OpenCV's matrix."""
         value = self.value(key)
+        wanted = f"expected {'x'.join(str(n) for n in shape)} numbers, found {_short(value)}"
         stated = None
         if isinstance(value, dict):
             stated = value.get("rows"), value.get("cols")
@@ -98,11 +99,10 @@ class CalibrationNode:
         try:  # through text, since YAML reads 2e-3 as a string
             flat = np.array(value, dtype=str).astype(np.float64).ravel()
         except (ValueError, TypeError):
-            raise self.fail(key, f"expected numbers, found {_short(value)}") from None
+            raise self.fail(key, wanted) from None
         allowed = (None, shape) if len(shape) == 2 else (None, (1, *shape), (*shape, 1))
         if flat.size != np.prod(shape) or stated not in allowed:
-            wanted = "x".join(str(n) for n in shape)
-            raise self.fail(key, f"expected {wanted} numbers, found {_short(value)}")
+            raise self.fail(key, wanted)
         if not np.all(np.isfinite(flat)):
             raise self.fail(key, "holds a number that is not finite")
         return flat.reshape(shape)
