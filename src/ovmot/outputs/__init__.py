@@ -1,0 +1,1 @@
+"""Everything that a run writes: tables, the overlay video, and `run.json`."""

@@ -1,0 +1,96 @@
+"""Strokes that both overlays are made of. Pictures are (height, width, 3), blue-green-red.
+
+Positions are pixels of the original image, (N, 2); `scale` is how much larger the picture is.
+A position that is not finite, or far outside, is left out. Pictures are drawn on in place: they
+are made here, by `backdrop`, and belong to the caller.
+"""
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+
+Color = tuple[int, int, int]
+
+BLUE: Color = (255, 100, 0)
+RED: Color = (0, 0, 255)
+DARK_RED: Color = (30, 30, 170)
+GREEN: Color = (60, 255, 60)
+WHITE: Color = (255, 255, 255)
+PINK: Color = (203, 105, 255)
+GREY: Color = (185, 185, 185)
+BLACK: Color = (0, 0, 0)
+DARK: Color = (70, 70, 70)
+
+_DIM = 0.55  # share of the image's brightness that is kept, so that colours stand out
+_FAR_PX = 5000.0
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_PLAIN, 0.8
+_SUBPIXEL_BITS = 3
+
+
+def backdrop(image: Image, scale: float) -> Image:
+    """A dimmed colour picture of a grey image (height, width), `scale` times as large."""
+    grey = image
+    if scale != 1.0:
+        height, width = image.shape[:2]
+        size = (round(width * scale), round(height * scale))
+        method = cv2.INTER_LINEAR if scale > 1.0 else cv2.INTER_AREA
+        grey = np.asarray(cv2.resize(image, size, interpolation=method), dtype=np.uint8)
+    dimmed = cv2.convertScaleAbs(grey, alpha=_DIM)
+    return np.asarray(cv2.cvtColor(dimmed, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+
+
+def drawable(pixels: FloatArray) -> BoolArray:
+    """Which positions (..., 2) are finite and near enough to the image to be drawn."""
+    return np.asarray(np.all(np.abs(pixels) < _FAR_PX, axis=-1))
+
+
+def dots(
+    picture: Image, pixels: FloatArray, color: Color, scale: float = 1.0, radius: int = 2
+) -> None:
+    """Filled discs at pixels (N, 2)."""
+    kept = pixels[drawable(pixels)]
+    for u, v in np.rint(_enlarge(kept, scale)).astype(np.int64).tolist():
+        cv2.circle(picture, (u, v), radius, color, cv2.FILLED)
+
+
+def curves(picture: Image, points: FloatArray, color: Color, scale: float = 1.0) -> None:
+    """Thin polylines through points (N, K, 2); one with any position not drawable is left out."""
+    kept = points[np.all(drawable(points), axis=-1)]
+    fixed = np.rint(_enlarge(kept, scale) * 2**_SUBPIXEL_BITS).astype(np.int32)
+    if len(fixed):
+        cv2.polylines(picture, list(fixed), False, color, 1, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def texts(
+    picture: Image, pixels: FloatArray, words: Iterable[str], color: Color, scale: float = 1.0
+) -> None:
+    """Small words above pixels (N, 2): to the right, or to the left where the picture ends."""
+    places = np.rint(_enlarge(pixels, scale))
+    for (u, v), word, inside in zip(places, words, drawable(pixels), strict=True):
+        if not inside:
+            continue
+        width = cv2.getTextSize(word, _FONT, _FONT_SCALE, 1)[0][0]
+        left = u + 4 if u + 4 + width < picture.shape[1] else u - 4 - width
+        place = (int(left), int(v) - 4)
+        cv2.putText(picture, word, place, _FONT, _FONT_SCALE, BLACK, 2)  # a dark rim, to be legible
+        cv2.putText(picture, word, place, _FONT, _FONT_SCALE, color, 1)
+
+
+def caption(picture: Image, words: Iterable[tuple[str, Color]]) -> None:
+    """One line of words, each in its colour, on black in the picture's upper left corner."""
+    parts = [(word, color, cv2.getTextSize(word, _FONT, 1.0, 1)[0][0]) for word, color in words]
+    gap, height = 12, 18
+    total = sum(width + gap for _, _, width in parts) + gap
+    cv2.rectangle(picture, (0, 0), (total, height), BLACK, cv2.FILLED)
+    left = gap
+    for word, color, width in parts:
+        cv2.putText(picture, word, (left, height - 5), _FONT, 1.0, color, 1, cv2.LINE_AA)
+        left += width + gap
+
+
+def _enlarge(pixels: FloatArray, scale: float) -> FloatArray:
+    """Positions in the picture; integer positions are pixel centres in both."""
+    return (pixels + 0.5) * scale - 0.5

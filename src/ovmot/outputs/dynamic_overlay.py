@@ -1,0 +1,67 @@
+"""Picture of the split: which points the ego motion explains, and which move."""
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, Image
+from ovmot.outputs import drawing
+from ovmot.types import PointLabel, ScenePoints, StereoFrame
+
+
+def draw_dynamic(frame: StereoFrame, points: ScenePoints, scale: float = 1.0) -> Image:
+    """The left image with the split's verdict on every point (BGR).
+
+    Dynamic points, and static ones that the two-view test had rejected, show the previous
+    observation white, the current one red and the prediction pink, joined by thin lines; their
+    3-D distance (m) and reprojection error (px) are written in green for the dynamic ones and in
+    red for the static ones. Other points are small dots: static grey, unknown dark.
+    Pixels are enlarged by `scale`.
+    """
+    picture = drawing.backdrop(frame.left, scale)
+    now = points.pixels[:, :2]
+    dynamic = points.label == PointLabel.DYNAMIC
+    static = points.label == PointLabel.STATIC
+    compared = np.all(np.isfinite(points.predicted), axis=1)
+    rescued = static & ~points.two_view_inlier & compared
+    unknown = ~dynamic & ~static
+    drawing.dots(picture, now[unknown], drawing.DARK, scale, radius=1)
+    drawing.dots(picture, now[static & ~rescued], drawing.GREY, scale, radius=1)
+    for which, color in ((rescued, drawing.RED), (dynamic, drawing.GREEN)):
+        drawing.texts(picture, now[which], _measures(points, which), color, scale)
+    for which in (rescued, dynamic):
+        _draw_comparison(picture, points, which, scale)
+    drawing.caption(
+        picture,
+        [
+            (f"t {1e-9 * frame.timestamp_ns:.3f} s", drawing.WHITE),
+            (f"{np.count_nonzero(dynamic)} dynamic", drawing.GREEN),
+            (f"{np.count_nonzero(static)} static", drawing.GREY),
+            (f"{np.count_nonzero(rescued)} of them rejected by RANSAC", drawing.RED),
+            (f"{np.count_nonzero(unknown)} unknown", drawing.GREY),
+            ("previous", drawing.WHITE), ("current", drawing.RED), ("predicted", drawing.PINK),
+        ],
+    )  # fmt: skip
+    return picture
+
+
+def _draw_comparison(picture: Image, points: ScenePoints, which: BoolArray, scale: float) -> None:
+    """Previous, current and predicted position of the chosen points, joined by thin lines."""
+    now, previous, predicted = (
+        points.pixels[which, :2], points.previous[which], points.predicted[which]
+    )  # fmt: skip
+    drawing.curves(picture, np.stack([previous, now], axis=1), drawing.WHITE, scale)
+    drawing.curves(picture, np.stack([now, predicted], axis=1), drawing.PINK, scale)
+    drawing.dots(picture, previous, drawing.WHITE, scale)
+    drawing.dots(picture, predicted, drawing.PINK, scale)
+    drawing.dots(picture, now, drawing.RED, scale)
+
+
+def _measures(points: ScenePoints, which: BoolArray) -> list[str]:
+    """The two distances of the comparison in words; a missing one is left out."""
+    return [
+        " ".join(
+            word for value, word in ((d, f"{d:.2f}m"), (r, f"{r:.1f}px")) if not np.isnan(value)
+        )
+        for d, r in zip(
+            points.distance_m[which].tolist(), points.reprojection_px[which].tolist(), strict=True
+        )
+    ]

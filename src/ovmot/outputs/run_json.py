@@ -1,0 +1,97 @@
+"""`run.json`: what a run was given, what it did, and how it ended."""
+
+import contextlib
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import scipy
+
+import ovmot
+from ovmot.config import Settings
+from ovmot.errors import OvmotError
+
+RUN_JSON = "run.json"
+PARTIAL_RUN_JSON = "run.json.part"
+
+
+@dataclass(frozen=True, slots=True)
+class InputIdentity:
+    """The sequence that was read: where, of which kind, how much, from when to when (ns)."""
+
+    path: str
+    kind: str
+    n_frames: int
+    n_imu_samples: int
+    first_timestamp_ns: int | None
+    last_timestamp_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A run in numbers.
+
+    `counts` by name (frames_in, frames_written, imu_samples, resets, frames_dropped, ...);
+    `warnings` says how often each was given; `ended` is `finished`, `interrupted` or
+    `failed: <message>`; `wall_seconds` is how long it took.
+    """
+
+    settings: Settings
+    source: InputIdentity
+    counts: Mapping[str, int]
+    warnings: Mapping[str, int]
+    ended: str
+    wall_seconds: float
+
+    def __post_init__(self) -> None:
+        if self.ended not in ("finished", "interrupted") and not self.ended.startswith("failed: "):
+            raise ValueError(f"not a way for a run to end: {self.ended!r}")
+
+
+def write_run_json(folder: Path, summary: RunSummary) -> None:
+    """Write `run.json` into `folder` in one step: it is there whole, or as it was before.
+
+    Raises `OvmotError` with the file's name where it cannot be written.
+    """
+    path, partial = folder / RUN_JSON, folder / PARTIAL_RUN_JSON
+    text = json.dumps(_as_json(summary), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise OvmotError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def versions() -> dict[str, str]:
+    """Versions of ovmot and of all that its numbers depend on."""
+    return {
+        "ovmot": ovmot.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "opencv": cv2.__version__,
+        "av": av.__version__,
+        "platform": platform.platform(),
+    }
+
+
+def _as_json(summary: RunSummary) -> dict[str, Any]:
+    return {
+        "ended": summary.ended,
+        "input": asdict(summary.source),
+        "counts": {name: int(count) for name, count in summary.counts.items()},
+        "warnings": [
+            {"message": message, "count": int(count)} for message, count in summary.warnings.items()
+        ],
+        "settings": summary.settings.model_dump(mode="json"),
+        "versions": versions(),
+        "wall_seconds": round(float(summary.wall_seconds), 3),
+    }

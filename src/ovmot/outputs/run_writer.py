@@ -1,0 +1,159 @@
+"""The folder of a run: which files it gets, and that they are all closed whatever happens."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InputError, OvmotError
+from ovmot.outputs.run_json import PARTIAL_RUN_JSON, RUN_JSON
+from ovmot.outputs.tables import (
+    PointsTable,
+    StateTable,
+    StereoTable,
+    TimingTable,
+    TracksTable,
+    TrajectoryTable,
+)
+from ovmot.outputs.video import OverlayVideo
+from ovmot.types import FrameResult
+
+
+class Output(Protocol):
+    """One file of a run; it gets every result, in order of time."""
+
+    def write(self, result: FrameResult) -> None:
+        """Write one frame; raises `OvmotError` with the file's name where it cannot."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file; a second call does nothing."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RunContext:
+    """What outputs know of the run: the rig, and the names of the pipeline's stages if known."""
+
+    rig: StereoRig
+    stages: tuple[str, ...] = ()
+
+
+OutputFactory = Callable[[Path, RunContext], Output]
+
+OUTPUTS: dict[str, OutputFactory] = {
+    "trajectory.tum": lambda path, _: TrajectoryTable(path),
+    "state.csv": lambda path, _: StateTable(path),
+    "tracks.csv": lambda path, _: TracksTable(path),
+    "timing.csv": lambda path, context: TimingTable(path, context.stages),
+    "points.csv": lambda path, _: PointsTable(path),
+    "stereo.csv": lambda path, _: StereoTable(path),
+    "overlay.mp4": lambda path, context: OverlayVideo(path, context.rig),
+}
+
+_ALWAYS = ("trajectory.tum", "state.csv", "tracks.csv", "timing.csv")
+_POINTS = ("points.csv", "stereo.csv")
+_VIDEO = ("overlay.mp4",)
+_RUN_FILES = (*OUTPUTS, RUN_JSON, PARTIAL_RUN_JSON, "objects_kitti.txt", "report.html")
+
+
+class RunWriter:
+    """Forwards each result to all outputs of a run. A context manager: it always closes them."""
+
+    def __init__(self, outputs: Sequence[Output]) -> None:
+        self._outputs = tuple(outputs)
+        self.frames_written = 0
+
+    def write(self, result: FrameResult) -> None:
+        """Write one frame everywhere; raises `OvmotError` where a file, or the pose, is bad."""
+        if not np.all(np.isfinite(result.ego.T_world_imu)):
+            raise OvmotError(f"the pose at {result.timestamp_ns} ns is not finite: run ended there")
+        for output in self._outputs:
+            output.write(result)
+        self.frames_written += 1
+
+    def close(self) -> None:
+        """Close all outputs; the first failure is raised when all are closed."""
+        failures = self._close_all()
+        if failures:
+            raise failures[0]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        failures = self._close_all()
+        if error is None and failures:
+            raise failures[0]
+        for failure in failures:  # the first error is the one to report
+            if error is not None:
+                error.add_note(str(failure))
+
+    def _close_all(self) -> list[Exception]:
+        failures: list[Exception] = []
+        for output in self._outputs:
+            try:
+                output.close()
+            except Exception as error:
+                failures.append(error)
+        return failures
+
+
+def open_outputs(
+    folder: Path,
+    *,
+    rig: StereoRig,
+    save_points: bool = False,
+    video: bool = False,
+    force: bool = False,
+    stages: Sequence[str] = (),
+) -> RunWriter:
+    """Start the files of a run in `folder`, which is made if missing.
+
+    `stages` are the columns of `timing.csv`; without them the first frame's are taken. Raises
+    `InputError` where the folder holds a run already (unless `force`, which removes that run's
+    files and nothing else) or cannot be written into.
+    """
+    prepare_folder(folder, force=force)
+    names = (*_ALWAYS, *(_POINTS if save_points else ()), *(_VIDEO if video else ()))
+    context = RunContext(rig, tuple(stages))
+    opened: list[Output] = []
+    try:
+        for name in names:
+            opened.append(OUTPUTS[name](folder / name, context))
+    except BaseException:
+        RunWriter(opened).close()
+        raise
+    return RunWriter(opened)
+
+
+def prepare_folder(folder: Path, *, force: bool) -> None:
+    """Make `folder`, empty of a run's files; raises `InputError` (see `open_outputs`)."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        present = [folder / name for name in _RUN_FILES if (folder / name).exists()]
+        if present and not force:
+            raise InputError.at(
+                folder,
+                f"holds a run already ({present[0].name})",
+                "choose another folder, or replace that run with --force",
+            )
+        for path in present:
+            path.unlink()
+    except FileExistsError:
+        raise InputError.at(folder, "is a file", "give a folder with -o") from None
+    except OSError as error:
+        raise InputError.at(
+            error.filename or folder,
+            f"cannot prepare the output folder: {error.strerror}",
+            "choose another folder with -o",
+        ) from None

@@ -1,0 +1,150 @@
+"""`overlay.mp4`: both overlays of every frame, encoded in the background."""
+
+import contextlib
+import queue
+import threading
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import av.container
+import av.video
+import cv2
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.errors import OvmotError
+from ovmot.geometry.arrays import Image
+from ovmot.outputs.dynamic_overlay import draw_dynamic
+from ovmot.outputs.stereo_overlay import draw_stereo
+from ovmot.types import FrameResult
+
+_MAX_WIDTH = 1920
+_TICKS_PER_S = 90_000
+_NS_PER_S = 1_000_000_000
+_WAITING_FRAMES = 8
+_BT601, _LIMITED_RANGE = 6, 1  # what `COLOR_BGR2YUV_I420` makes; numbers of ITU-T H.273
+_OPTIONS = {"preset": "veryfast", "crf": "23"}
+
+
+def compose(result: FrameResult, rig: StereoRig) -> Image:
+    """One picture of even size (BGR): the stereo overlay, below it the dynamic one as wide.
+
+    It is twice as wide as an image, but no wider than 1920 pixels.
+    """
+    image_width = result.frame.left.shape[1]
+    width = min(2 * image_width, _MAX_WIDTH)
+    upper = draw_stereo(result.frame, result.matches, rig, width / (2 * image_width))
+    lower = draw_dynamic(result.frame, result.points, width / image_width)
+    height = upper.shape[0] + lower.shape[0]
+    canvas = np.zeros((height + height % 2, width, 3), dtype=np.uint8)
+    for picture, top in ((upper, 0), (lower, upper.shape[0])):
+        across = min(width, picture.shape[1])  # rounding may make a scaled picture a pixel wider
+        canvas[top : top + picture.shape[0], :across] = picture[:, :across]
+    return canvas
+
+
+class OverlayVideo:
+    """Draws and encodes results in a thread of its own; `write` waits only when that one lags.
+
+    What goes wrong there is raised by the next `write`, or by `close`. A run without frames
+    leaves no file.
+    """
+
+    def __init__(self, path: Path, rig: StereoRig) -> None:
+        self._path = path
+        self._rig = rig
+        self._queue: queue.Queue[FrameResult | None] = queue.Queue(_WAITING_FRAMES)
+        self._failure: Exception | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="overlay", daemon=True)
+        self._thread.start()
+
+    def write(self, result: FrameResult) -> None:
+        """Hand over one result; raises `OvmotError` where an earlier one could not be written."""
+        self._raise_failure()
+        self._queue.put(result)
+
+    def close(self) -> None:
+        """Encode what still waits and end the file; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._queue.put(None)
+        self._thread.join()
+        self._raise_failure()
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _work(self) -> None:
+        try:
+            self._encode_all()
+        except (OSError, av.error.FFmpegError) as error:
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)  # without its index it can not be played
+            self._failure = OvmotError(
+                f"{self._path}: cannot write the video: {error.strerror or error};"
+                " the unfinished file was removed"
+            )
+        except Exception as error:
+            self._failure = error
+        if self._failure is not None:
+            while self._queue.get() is not None:  # so that nobody waits for a full queue
+                pass
+
+    def _encode_all(self) -> None:
+        """One frame is held back: the time to the second one is the stream's nominal rate."""
+        first = self._queue.get()
+        if first is None:
+            return
+        second = self._queue.get()
+        gap_ns = second.timestamp_ns - first.timestamp_ns if second else _NS_PER_S // 10
+        picture = compose(first, self._rig)
+        encoder = _Encoder(self._path, picture.shape[1], picture.shape[0], gap_ns)
+        try:
+            encoder.encode(picture, 0)
+            following = second
+            while following is not None:
+                elapsed_ns = following.timestamp_ns - first.timestamp_ns
+                encoder.encode(compose(following, self._rig), elapsed_ns)
+                following = self._queue.get()
+        finally:
+            encoder.close()
+
+
+class _Encoder:
+    """An H.264 file that browsers play; each frame is shown at its own time."""
+
+    def __init__(self, path: Path, width: int, height: int, gap_ns: int) -> None:
+        rate = Fraction(_NS_PER_S, max(gap_ns, _NS_PER_S // 240)).limit_denominator(1001)
+        self._container = av.open(
+            str(path), "w", format="mp4", container_options={"movflags": "+faststart"}
+        )
+        stream = self._container.add_stream("libx264", rate=rate, options=_OPTIONS)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, _TICKS_PER_S)
+        stream.codec_context.thread_count = 1  # the stream must not depend on the machine's cores
+        stream.codec_context.gop_size = 30
+        stream.codec_context.colorspace = _BT601  # else players take large pictures for BT.709
+        stream.codec_context.color_range = _LIMITED_RANGE
+        self._stream = stream
+        self._last_tick = -1
+
+    def encode(self, picture: Image, elapsed_ns: int) -> None:
+        """Append one BGR picture, to be shown `elapsed_ns` after the first one."""
+        yuv = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), dtype=np.uint8)
+        frame = av.VideoFrame.from_ndarray(yuv, format="yuv420p")
+        tick = elapsed_ns * _TICKS_PER_S // _NS_PER_S
+        self._last_tick = max(tick, self._last_tick + 1)
+        frame.pts = self._last_tick
+        frame.time_base = Fraction(1, _TICKS_PER_S)
+        self._container.mux(self._stream.encode(frame))
+
+    def close(self) -> None:
+        try:
+            self._container.mux(self._stream.encode(None))
+        finally:
+            self._container.close()
