@@ -31,7 +31,10 @@ class Lens(Protocol):
         ...
 
     def undistort(self, xy_distorted: FloatArray, coefficients: FloatArray) -> FloatArray:
-        """Ideal plane coordinates (..., 2) of distorted ones; NaN where the model has none."""
+        """Ideal plane coordinates (..., 2) of distorted ones; NaN where the model has none.
+
+        Past the radius at which a model folds back no point is returned: a lens does not fold.
+        """
         ...
 
 
@@ -39,7 +42,7 @@ class RadialTangential:
     """Brown-Conrady with 2 or 3 radial terms: k1, k2, p1, p2[, k3] (OpenCV's `plumb_bob`)."""
 
     name = "radtan"
-    n_coefficients = (4, 5)
+    n_coefficients: tuple[int, ...] = (4, 5)
 
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         x, y = xy[..., 0], xy[..., 1]
@@ -85,14 +88,16 @@ class RadialTangential:
             step_y = (J[..., 0, 0] * residual[..., 1] - J[..., 1, 0] * residual[..., 0]) / det
             xy = xy - np.stack([step_x, step_y], axis=-1)
         miss = np.abs(self.distort(xy, coefficients) - target).max(axis=-1, keepdims=True)
-        return np.where(miss < 1e-8, xy, np.nan)
+        k1, k2, _, _, k3 = _five(coefficients)
+        inside = np.sum(xy * xy, axis=-1, keepdims=True) < _fold_squared((k1, k2, k3))
+        return np.where((miss < 1e-8) & inside, xy, np.nan)
 
 
 class Equidistant:
     """Fisheye of Kannala and Brandt (PAMI 2006), k1..k4: r = θ (1 + k1 θ² + ... + k4 θ⁸)."""
 
     name = "equidistant"
-    n_coefficients = (4,)
+    n_coefficients: tuple[int, ...] = (4,)
 
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         r = np.linalg.norm(xy, axis=-1, keepdims=True)
@@ -127,9 +132,9 @@ class Equidistant:
                 break
             slope = _theta_d_slope(theta, coefficients)
             theta = theta - residual / np.where(np.abs(slope) < 1e-9, np.nan, slope)
-        found = (np.abs(_theta_d(theta, coefficients) - theta_d) < 1e-8) & (
-            np.abs(theta) < 0.5 * np.pi - 1e-6
-        )
+        limit = min(0.5 * np.pi - 1e-6, _fold_squared(tuple(coefficients)) ** 0.5)
+        found = (np.abs(_theta_d(theta, coefficients) - theta_d) < 1e-8) & (theta >= 0.0)
+        found &= theta < limit
         small = theta_d < 1e-8
         scale = np.where(small, 1.0, np.tan(theta) / np.where(small, 1.0, theta_d))
         return np.where(found, xy * scale, np.nan)
@@ -139,7 +144,7 @@ class Undistorted:
     """No distortion: rectified images."""
 
     name = "none"
-    n_coefficients = (0,)
+    n_coefficients: tuple[int, ...] = (0,)
 
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         return np.asarray(xy, dtype=np.float64)
@@ -154,9 +159,8 @@ class Undistorted:
         return np.asarray(xy_distorted, dtype=np.float64)
 
 
-LENSES: dict[str, Lens] = {
-    lens.name: lens for lens in (RadialTangential(), Equidistant(), Undistorted())
-}
+_MODELS: tuple[Lens, ...] = (RadialTangential(), Equidistant(), Undistorted())
+LENSES: dict[str, Lens] = {lens.name: lens for lens in _MODELS}
 
 
 def _five(coefficients: FloatArray) -> tuple[float, float, float, float, float]:
@@ -164,11 +168,21 @@ def _five(coefficients: FloatArray) -> tuple[float, float, float, float, float]:
     return k1, k2, p1, p2, float(coefficients[4]) if len(coefficients) > 4 else 0.0
 
 
+def _fold_squared(radial: tuple[float, ...]) -> float:
+    """r² at which r (1 + k1 r² + k2 r⁴ + ...) stops growing; infinite where it never does."""
+    slope = [1.0, *((2 * i + 3) * k for i, k in enumerate(radial))]
+    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
+    real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
+    return float(real.min(initial=np.inf))
+
+
 def _theta_d(theta: FloatArray, k: FloatArray) -> FloatArray:
     t2 = theta * theta
-    return theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+    theta_d: FloatArray = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+    return theta_d
 
 
 def _theta_d_slope(theta: FloatArray, k: FloatArray) -> FloatArray:
     t2 = theta * theta
-    return 1.0 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
+    slope: FloatArray = 1.0 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
+    return slope

@@ -27,13 +27,17 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         for name, T in (("T_imu_cam0", self.T_imu_cam0), ("T_imu_cam1", self.T_imu_cam1)):
-            R = T[:3, :3]
             if T.shape != (4, 4) or not np.all(np.isfinite(T)):
                 raise CalibrationError(f"{name} must be a finite 4x4 matrix")
+            R = T[:3, :3]
+            if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+                raise CalibrationError(f"the last row of {name} must be 0 0 0 1")
             if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
                 raise CalibrationError(f"{name} does not hold a rotation matrix")
         if self.baseline < 1e-3:
             raise CalibrationError("the two cameras of the rig stand at the same place")
+        if not np.isfinite(self.time_offset_s):
+            raise CalibrationError("the time offset between camera and IMU must be a finite number")
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:

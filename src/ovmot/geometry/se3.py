@@ -57,7 +57,7 @@ def adjoint(T: FloatArray) -> FloatArray:
 
 
 def right_jacobian(twist: FloatArray) -> FloatArray:
-    """J_r (..., 6, 6) with exp(ξ + dξ) ~ exp(ξ) exp(J_r dξ) (Barfoot's Q block; Solà eq. 179-180)."""
+    """J_r (..., 6, 6) with exp(ξ + dξ) ~ exp(ξ) exp(J_r dξ) (Solà 2018, eq. 179-180)."""
     xi = -np.asarray(twist, dtype=np.float64)  # J_r(ξ) = J_l(-ξ)
     out = np.zeros((*xi.shape[:-1], 6, 6))
     J = so3.left_jacobian(xi[..., :3])
@@ -81,4 +81,6 @@ def _q_block(omega: FloatArray, v: FloatArray) -> FloatArray:
     WV, VW = W @ V, V @ W
     WVW = WV @ W
     WWV, VWW = W @ WV, VW @ W
-    return 0.5 * V + c1 * (WV + VW + WVW) + c2 * (WWV + VWW - 3 * WVW) + c3 * (WVW @ W + W @ WVW)
+    Q: FloatArray = 0.5 * V + c1 * (WV + VW + WVW) + c2 * (WWV + VWW - 3 * WVW)
+    Q += c3 * (WVW @ W + W @ WVW)
+    return Q

@@ -45,10 +45,10 @@ def log(rotation: FloatArray) -> FloatArray:
     scale = np.where(
         small, 1.0 + angle**2 / 6.0, angle / np.where(small, 1.0, np.maximum(sine, 1e-300))
     )
-    out = scale[..., None] * w
-    if np.any(angle > _NEAR_PI):  # the antisymmetric part vanishes at pi; quaternions do not
-        flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(w.shape)
-        out = np.where((angle > _NEAR_PI)[..., None], flat, out)
+    out: FloatArray = scale[..., None] * w
+    near_pi = angle > _NEAR_PI
+    if np.any(near_pi):  # the antisymmetric part vanishes at pi; quaternions do not
+        out[near_pi] = Rotation.from_matrix(R[near_pi]).as_rotvec()
     return out
 
 
@@ -69,7 +69,8 @@ def right_jacobian_inverse(rotation_vector: FloatArray) -> FloatArray:
     half = 0.5 * safe
     d = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, (1.0 - half / np.tan(half)) / safe**2)
     K = hat(v)
-    return np.eye(3) + 0.5 * K + d[..., None, None] * (K @ K)
+    J_inverse: FloatArray = np.eye(3) + 0.5 * K + d[..., None, None] * (K @ K)
+    return J_inverse
 
 
 def left_jacobian(rotation_vector: FloatArray) -> FloatArray:
@@ -98,11 +99,15 @@ def project_to_rotation(matrix: FloatArray) -> FloatArray:
     D = np.zeros_like(U)
     D[..., 0, 0] = D[..., 1, 1] = 1.0
     D[..., 2, 2] = sign
-    return U @ D @ Vt
+    R: FloatArray = U @ D @ Vt
+    return R
 
 
 def between_vectors(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The smallest rotation (3, 3) that turns the direction of `source` into that of `target`."""
+    """The smallest rotation (3, 3) that turns the direction of `source` into that of `target`.
+
+    Both are (3,) and not zero. For opposite directions any axis square to them will do.
+    """
     a = np.asarray(source, dtype=np.float64) / np.linalg.norm(source)
     b = np.asarray(target, dtype=np.float64) / np.linalg.norm(target)
     axis = np.cross(a, b)
@@ -111,8 +116,9 @@ def between_vectors(source: FloatArray, target: FloatArray) -> FloatArray:
         if cosine > 0.0:
             return np.eye(3)
         axis = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
-        return exp(np.pi * axis / np.linalg.norm(axis))
-    return exp(np.arctan2(sine, cosine) * axis / sine)
+    else:
+        axis = axis - (a @ axis) * a  # nearly opposite: take rounding out of a short cross product
+    return exp(np.arctan2(sine, cosine) * axis / np.linalg.norm(axis))
 
 
 def _coefficients(v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
