@@ -102,7 +102,20 @@ class InitializationSettings(_Section):
     rest_accel_mps2: float = Field(0.15, gt=0.0)
     """At rest, the accelerometer's standard deviation is below this."""
     rest_pixel: float = Field(0.5, gt=0.0)
-    """At rest, most near points move less than this in the image, pixels."""
+    """At rest, a point moves less than this in the image, pixels."""
+    rest_share: float = Field(0.5, gt=0.0, le=1.0)
+    """At rest, at least this share of the points stands still."""
+
+
+class GivenEgoSettings(_Section):
+    """Ego motion from a pose file: how far each pose is trusted."""
+
+    rotation_sigma_rad: float = Field(1e-3, gt=0.0)
+    """Standard deviation of each pose's rotation."""
+    position_sigma_m: float = Field(0.03, gt=0.0)
+    """Standard deviation of each pose's position."""
+    window: int = Field(11, ge=2)
+    """Past poses kept for the split."""
 
 
 class ZeroVelocitySettings(_Section):
@@ -137,8 +150,8 @@ class SplitSettings(_Section):
     """Fixed test: one threshold passed is enough, or both must be."""
     false_alarm: float = Field(1e-4, gt=0.0, lt=0.5)
     """Covariance test: probability that a static point is called dynamic in one comparison."""
-    min_speed_mps: float = Field(0.6, ge=0.0)
-    """Covariance test: slower points are not called dynamic."""
+    forgiven_speed_mps: float = Field(0.15, ge=0.0)
+    """Covariance test: standard deviation of the drift forgiven to points at rest."""
     pixel_sigma: float = Field(0.7, gt=0.0)
     """Covariance test: standard deviation of a stereo point's pixels."""
 
@@ -152,6 +165,7 @@ class Settings(_Section):
     imu: ImuSettings = ImuSettings()
     initialization: InitializationSettings = InitializationSettings()
     zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()
+    given_ego: GivenEgoSettings = GivenEgoSettings()
     split: SplitSettings = SplitSettings()
 
 

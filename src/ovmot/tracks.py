@@ -11,6 +11,9 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.types import FrontendFrame
 
+MAX_SHARING_ROWS = 20
+"""Frames of a standstill that are remembered for the split; the filter needs none of them."""
+
 
 @dataclass(frozen=True, slots=True)
 class TrackTable:
@@ -95,22 +98,19 @@ def mark_used(table: TrackTable, used: BoolArray) -> TrackTable:
 
 def share_clone(table: TrackTable, dropped_ns: int, kept_ns: int) -> TrackTable:
     """Rows whose clone `dropped_ns` leaves the state, since the rig stood, point to `kept_ns`."""
-    return replace(
-        table, clone_ns=np.where(table.clone_ns == dropped_ns, kept_ns, table.clone_ns)
-    )
+    return replace(table, clone_ns=np.where(table.clone_ns == dropped_ns, kept_ns, table.clone_ns))
 
 
-def keep_window(table: TrackTable, clone_ns: IntArray, max_frames: int) -> TrackTable:
-    """Only rows whose clone is still there, at most `max_frames` of them, and no dead columns.
+def keep_window(table: TrackTable, clone_ns: IntArray) -> TrackTable:
+    """Only rows whose clone is still there, and no dead columns.
 
-    A column lives while the newest row or an observation that no update has used holds it.
+    Rows that share another frame's clone (the rig stands) are kept up to `MAX_SHARING_ROWS`, the
+    newest first. A column lives while the newest row or an observation that no update has used
+    holds it.
     """
     rows = np.isin(table.clone_ns, clone_ns)
-    own = table.frame_ns == table.clone_ns  # these are the filter's: never thinned out
-    spare = np.flatnonzero(rows & ~own)
-    excess = int(rows.sum()) - max_frames
-    if excess > 0:
-        rows[spare[: min(excess, len(spare))]] = False
+    sharing = np.flatnonzero(rows & (table.frame_ns != table.clone_ns))
+    rows[sharing[:-MAX_SHARING_ROWS]] = False
     table = _select_rows(table, rows)
     fresh = np.isfinite(table.pixels[..., 0]) & ~table.used & ~table.barred
     return _select_columns(table, table.seen_now | fresh.any(axis=0))

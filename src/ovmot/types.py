@@ -184,3 +184,16 @@ class FrameResult:
 def empty_imu_data() -> ImuData:
     """An `ImuData` of no samples."""
     return ImuData(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
+
+
+@dataclass(frozen=True, slots=True)
+class PoseWindow:
+    """The poses that the split and the front end reason with: K clones, newest last.
+
+    `timestamp_ns` (K,), `T_world_imu` (K, 4, 4), `covariance` (6K, 6K) over rotation (right
+    perturbation, rad) and position (m) of each clone.
+    """
+
+    timestamp_ns: IntArray
+    T_world_imu: FloatArray
+    covariance: FloatArray

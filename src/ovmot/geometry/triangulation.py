@@ -52,9 +52,7 @@ def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatAr
     return np.concatenate([xy0, xy1], axis=-1), J
 
 
-def stereo_covariance(
-    p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatArray
-) -> FloatArray:
+def stereo_covariance(p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatArray) -> FloatArray:
     """Covariance (..., 3, 3), m², of stereo points (..., 3) in the left camera.
 
     `sigma` (4,) is the standard deviation of the four plane coordinates (pixels by focal length).

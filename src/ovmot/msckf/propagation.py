@@ -197,7 +197,9 @@ def _interval_matrices(
     G[:, THETA, :3] = -Jr * h
     G[:, VELOCITY, 3:] = -eye * h
     G[:, POSITION, 3:] = -0.5 * eye * h**2
-    density = np.concatenate([gyro_density * np.ones((n, 1, 3)), accel_density * np.ones((n, 1, 3))], 2)
+    density = np.concatenate(
+        [gyro_density * np.ones((n, 1, 3)), accel_density * np.ones((n, 1, 3))], 2
+    )
     G = G * density / np.sqrt(h)
     Q = G @ np.swapaxes(G, -1, -2)
     Q[:, GYRO_BIAS, GYRO_BIAS] += noise.gyro_walk**2 * h * eye

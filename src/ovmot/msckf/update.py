@@ -59,5 +59,3 @@ def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArra
 def chi2_bound(dof: int, probability: float = 0.95) -> float:
     """Quantile of the chi-squared distribution."""
     return float(chi2.ppf(probability, dof))
-
-

@@ -1,0 +1,59 @@
+"""Where features should be found: start positions for optical flow."""
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray
+
+_NEAREST = 5
+_MAX_EXTRA_FLOW_PX = 80.0
+
+
+def predict_left(
+    xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, rig: StereoRig
+) -> tuple[FloatArray, FloatArray]:
+    """Left pixels (N, 2) now of points at rest, and their depth (N,), NaN where unknown.
+
+    `p_before` (N, 3): positions in the earlier left camera; a point without one is taken as
+    infinitely far, so that it moves by the rotation alone. NaN for pixels outside the lens model.
+    """
+    ray = np.concatenate([xy_before, np.ones((len(xy_before), 1))], axis=1)
+    far = ray @ T_now_before[:3, :3].T
+    near = se3.apply(T_now_before, p_before)
+    usable = np.isfinite(near[:, 2]) & (near[:, 2] > 0.2)
+    point = np.where(usable[:, None], near, far)
+    return rig.cam0.project(point), np.where(usable, near[:, 2], np.nan)
+
+
+def unexplained_flow(found: FloatArray, at_rest: FloatArray, explained: BoolArray) -> FloatArray:
+    """Image motion (N, 2) beyond that of a point at rest, carried on for points that move.
+
+    Zero for points that the two-view test explains, and where the difference is no motion's.
+    """
+    extra = found - at_rest
+    size = np.linalg.norm(extra, axis=1)
+    carried = ~explained & np.isfinite(size) & (size < _MAX_EXTRA_FLOW_PX)
+    return np.where(carried[:, None], extra, 0.0)
+
+
+def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray:
+    """Depths (N,) with unknown ones taken from the median of the nearest known in the image."""
+    known = np.flatnonzero(np.isfinite(depth))
+    unknown = np.flatnonzero(~np.isfinite(depth))
+    if len(unknown) == 0:
+        return depth
+    out = depth.copy()
+    if len(known) < _NEAREST:
+        out[unknown] = default
+        return out
+    apart = np.linalg.norm(uv[unknown, None] - uv[None, known], axis=2)
+    nearest = np.argpartition(apart, _NEAREST - 1, axis=1)[:, :_NEAREST]
+    out[unknown] = np.median(depth[known][nearest], axis=1)
+    return out
+
+
+def predict_right(xy_left: FloatArray, depth: FloatArray, rig: StereoRig) -> FloatArray:
+    """Right pixels (N, 2) of left plane coordinates (N, 2) at given depths (N,), metres."""
+    ray = np.concatenate([xy_left, np.ones((len(xy_left), 1))], axis=1)
+    return rig.cam1.project(se3.apply(rig.T_cam1_cam0, ray * depth[:, None]))

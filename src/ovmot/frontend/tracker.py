@@ -1,0 +1,155 @@
+"""The stereo tracker: from one stereo frame to the next, features with ids."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import EpipolarSettings, TrackerSettings
+from ovmot.frontend.contrast import EQUALIZERS
+from ovmot.frontend.corners import detect_corners
+from ovmot.frontend.epipolar import gate_matches, without_refused
+from ovmot.frontend.flow import follow
+from ovmot.frontend.prediction import fill_depths, predict_left, predict_right, unexplained_flow
+from ovmot.frontend.two_view import two_view_inliers
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
+
+_BORDER_PX = 3.0
+_DEFAULT_DEPTH_BASELINES = 40.0  # where nothing is known, points are taken this far away
+
+
+@dataclass(frozen=True, slots=True)
+class _LeftPoints:
+    """N features in the present left image.
+
+    `uv` pixels and `xy` plane coordinates (N, 2), `hops` (N,), `depth` (N,) expected in metres or
+    NaN, `extra_flow` (N, 2) image motion beyond a resting point's, `inlier` (N,) of the two-view
+    test.
+    """
+
+    feature_id: IntArray
+    uv: FloatArray
+    xy: FloatArray
+    hops: IntArray
+    depth: FloatArray
+    extra_flow: FloatArray
+    inlier: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """The last frame: its left image, contrast corrected, its points, and their stereo pairs (N, 4)."""
+
+    left: Image
+    points: _LeftPoints
+    normalized: FloatArray
+
+
+class StereoTracker:
+    """Follows corners through the left images and matches each anew into the right one.
+
+    A stereo match is made in every frame from that frame's left patch, so that left and right
+    can not drift apart, and each passes the epipolar gate or loses its right half.
+    """
+
+    def __init__(
+        self, rig: StereoRig, settings: TrackerSettings, epipolar: EpipolarSettings
+    ) -> None:
+        self._rig = rig
+        self._settings = settings
+        self._epipolar = epipolar
+        self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
+        self._memory: _Memory | None = None
+        self._next_id = 0
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        self._workers.shutdown()
+
+    def track(
+        self, frame: StereoFrame, T_now_before: FloatArray
+    ) -> tuple[FrontendFrame, StereoMatches]:
+        """Features of this frame, and every stereo match tested.
+
+        `T_now_before` (4, 4): predicted motion of the left camera since the last frame, mapping
+        points of the earlier camera frame into the present one.
+        """
+        equalize = EQUALIZERS[self._settings.equalization]
+        left, right = self._workers.map(equalize, (frame.left, frame.right))
+        points = self._follow_left(left, T_now_before)
+        points = self._add_corners(left, points)
+        pixels, normalized, matches = self._match_right(left, right, points)
+        self._memory = _Memory(left, points, normalized)
+        seen = FrontendFrame(
+            frame.timestamp_ns, points.feature_id, pixels, normalized, points.hops, points.inlier
+        )
+        return seen, matches
+
+    def _follow_left(self, left: Image, T_now_before: FloatArray) -> _LeftPoints:
+        """The last frame's features in this left image; those lost are gone."""
+        if self._memory is None:
+            return _no_points()
+        old, before = self._memory.points, self._memory.normalized
+        p_before = triangulate_stereo(before, self._rig.T_cam1_cam0)
+        at_rest, depth = predict_left(old.xy, p_before, T_now_before, self._rig)
+        start = at_rest + old.extra_flow
+        uv, ok = follow(self._memory.left, left, old.uv, start, self._settings, self._workers)
+        xy = self._rig.cam0.normalize(uv)
+        ok &= self._rig.cam0.inside(uv, _BORDER_PX) & np.isfinite(xy[:, 0])
+        threshold = self._settings.two_view_threshold_px / self._rig.cam0.fx
+        inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
+        return _LeftPoints(
+            feature_id=old.feature_id[ok],
+            uv=uv[ok],
+            xy=xy[ok],
+            hops=old.hops[ok] + 1,
+            depth=depth[ok],
+            extra_flow=unexplained_flow(uv[ok], at_rest[ok], inlier),
+            inlier=inlier,
+        )
+
+    def _add_corners(self, left: Image, points: _LeftPoints) -> _LeftPoints:
+        """The points and as many new corners as there is room for."""
+        n_wanted = self._settings.max_features - len(points.feature_id)
+        uv = detect_corners(left, points.uv, n_wanted, self._settings)
+        xy = self._rig.cam0.normalize(uv)
+        uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
+        n = len(uv)
+        new_ids = np.arange(self._next_id, self._next_id + n, dtype=np.int64)
+        self._next_id += n
+        return _LeftPoints(
+            feature_id=np.concatenate([points.feature_id, new_ids]),
+            uv=np.concatenate([points.uv, uv]),
+            xy=np.concatenate([points.xy, xy]),
+            hops=np.concatenate([points.hops, np.zeros(n, dtype=np.int64)]),
+            depth=np.concatenate([points.depth, np.full(n, np.nan)]),
+            extra_flow=np.concatenate([points.extra_flow, np.zeros((n, 2))]),
+            inlier=np.concatenate([points.inlier, np.ones(n, dtype=np.bool_)]),
+        )
+
+    def _match_right(
+        self, left: Image, right: Image, points: _LeftPoints
+    ) -> tuple[FloatArray, FloatArray, StereoMatches]:
+        """Pixels and plane coordinates (N, 4) with accepted right halves, and all that was tested."""
+        default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
+        depth = fill_depths(points.uv, points.depth, default)
+        start = predict_right(points.xy, depth, self._rig)
+        uv, ok = follow(left, right, points.uv, start, self._settings, self._workers)
+        ok &= self._rig.cam1.inside(uv, _BORDER_PX)
+        pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
+        xy = self._rig.cam1.normalize(pixels[:, 2:])
+        normalized = np.concatenate([points.xy, xy], axis=1)
+        matches = gate_matches(
+            points.feature_id[ok], pixels[ok], normalized[ok], self._rig, self._epipolar
+        )
+        pixels[ok] = without_refused(pixels[ok], matches)
+        normalized[ok] = without_refused(normalized[ok], matches)
+        return pixels, normalized, matches
+
+
+def _no_points() -> _LeftPoints:
+    two, ints = np.empty((0, 2)), np.empty(0, dtype=np.int64)
+    return _LeftPoints(ints, two, two, ints, np.empty(0), two, np.empty(0, dtype=np.bool_))

@@ -1,0 +1,31 @@
+"""The robust test between two consecutive left images."""
+
+import cv2
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray
+
+_MIN_POINTS = 12
+_CONFIDENCE = 0.999
+_MAX_ITERATIONS = 500
+
+
+def two_view_inliers(before: FloatArray, now: FloatArray, threshold: float) -> BoolArray:
+    """Which of N tracks agree with one rigid motion of the camera.
+
+    `before`, `now` (N, 2): undistorted plane coordinates; `threshold` in plane units. Essential
+    matrix by MAGSAC++ (D. Barath et al., CVPR 2020). With fewer than 12 tracks, or when no motion
+    is found, all pass: the test then knows nothing.
+    """
+    ok = np.isfinite(before).all(1) & np.isfinite(now).all(1)
+    if ok.sum() < _MIN_POINTS:
+        return ok
+    _, mask = cv2.findEssentialMat(
+        before[ok], now[ok], np.eye(3), method=cv2.USAC_MAGSAC, prob=_CONFIDENCE,
+        threshold=threshold, maxIters=_MAX_ITERATIONS,
+    )  # fmt: skip
+    if mask is None or mask.sum() < _MIN_POINTS:
+        return ok
+    inliers = np.zeros(len(before), dtype=np.bool_)
+    inliers[ok] = mask.ravel() > 0
+    return inliers

@@ -1,0 +1,128 @@
+"""The motion between two stereo views of the same points, robustly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.triangulation import (
+    project_stereo,
+    stereo_covariance,
+    triangulate_stereo,
+)
+
+_MAX_HYPOTHESES = 80
+_GATE = 13.3  # 99 % of chi-squared with 4 degrees of freedom
+_HUBER = 2.0
+_ITERATIONS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class StereoMotion:
+    """`T_now_before` (4, 4) of the left camera, its covariance (6, 6), inliers (N,).
+
+    The covariance is over (rotation, translation) of T_true = exp(δ) applied on the left, the
+    translation additive: R_true = exp(δθ) R, t_true = t + δt.
+    """
+
+    T_now_before: FloatArray
+    covariance: FloatArray
+    inlier: BoolArray
+
+
+def solve_stereo_motion(
+    before: FloatArray,
+    now: FloatArray,
+    T_cam1_cam0: FloatArray,
+    R_now_before: FloatArray,
+    sigma: FloatArray,
+    rotation_sigma: float,
+) -> StereoMotion | None:
+    """Motion that carries stereo points `before` (N, 4) onto `now` (N, 4), plane coordinates.
+
+    With the rotation known roughly (`R_now_before` (3, 3), standard deviation in rad), each point
+    alone proposes a translation; the proposal with most points within their covariance-scaled gate
+    is refined by iteratively reweighted Gauss-Newton. `sigma` (4,): standard deviations of plane
+    coordinates. None with fewer than 8 points that agree.
+    """
+    p_before = triangulate_stereo(before, T_cam1_cam0)
+    p_now = triangulate_stereo(now, T_cam1_cam0)
+    both = np.isfinite(p_before).all(1) & np.isfinite(p_now).all(1)
+    if both.sum() < 8:
+        return None
+    p, q, z = p_before[both], p_now[both], now[both]
+    C = stereo_covariance(p, T_cam1_cam0, sigma)
+    W = _weights(p, C, R_now_before, q, T_cam1_cam0, sigma)
+    t, inlier = _best_translation(p, q, z, W, R_now_before, T_cam1_cam0)
+    if inlier.sum() < 8:
+        return None
+    T = se3.make(R_now_before, t)
+    T, information, inlier = _refine(T, p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
+    if inlier.sum() < 8:
+        return None
+    all_inliers = np.zeros(len(both), dtype=np.bool_)
+    all_inliers[both] = inlier
+    return StereoMotion(T, np.linalg.inv(information), all_inliers)
+
+
+def _weights(
+    p: FloatArray,
+    C: FloatArray,
+    R: FloatArray,
+    q: FloatArray,
+    T_c1_c0: FloatArray,
+    sigma: FloatArray,
+) -> FloatArray:
+    """Inverse covariances (N, 4, 4) of the reprojection, at the observed present points."""
+    _, J = project_stereo(q, T_c1_c0)
+    S = J @ (R @ C @ R.T) @ np.swapaxes(J, -1, -2) + np.diag(sigma**2)
+    return np.linalg.inv(S)
+
+
+def _best_translation(
+    p: FloatArray, q: FloatArray, z: FloatArray, W: FloatArray, R: FloatArray, T_c1_c0: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """The proposal with most inliers; near points propose, since their depth is known best."""
+    turned = p @ R.T
+    nearest = np.argsort(q[:, 2], kind="stable")[:_MAX_HYPOTHESES]
+    proposals = q[nearest] - turned[nearest]
+    h, _ = project_stereo(turned[None] + proposals[:, None], T_c1_c0)
+    r = z[None] - h
+    distance = np.einsum("hni,nij,hnj->hn", r, W, r)
+    inlier = distance < _GATE
+    best = int(np.argmax(inlier.sum(1)))
+    return proposals[best], inlier[best]
+
+
+def _refine(
+    T: FloatArray,
+    p: FloatArray,
+    z: FloatArray,
+    W: FloatArray,
+    R_prior: FloatArray,
+    rotation_sigma: float,
+    T_c1_c0: FloatArray,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Gauss-Newton with Huber weights, points beyond twice the gate left out."""
+    information = np.eye(6)
+    inlier = np.zeros(len(p), dtype=np.bool_)
+    for _ in range(_ITERATIONS):
+        turned = p @ T[:3, :3].T
+        h, J_point = project_stereo(turned + T[:3, 3], T_c1_c0)
+        r = z - h
+        distance = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", r, W, r), 1e-12))
+        inlier = distance**2 < 2.0 * _GATE
+        weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)
+        J = np.concatenate([J_point @ -so3.hat(turned), J_point], axis=2)
+        JtW = np.swapaxes(J, -1, -2) @ (W * weight[:, None, None])
+        information = (JtW @ J).sum(0)
+        gradient = (JtW @ r[..., None]).sum(0)[:, 0]
+        off = so3.log(R_prior @ T[:3, :3].T)
+        information[:3, :3] += np.eye(3) / rotation_sigma**2
+        gradient[:3] += off / rotation_sigma**2
+        step = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
+        T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+        if np.abs(step).max() < 1e-8:
+            break
+    return T, information, inlier

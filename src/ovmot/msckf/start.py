@@ -1,0 +1,114 @@
+"""How the filter starts: at rest if the rig rests, else in motion."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import Settings
+from ovmot.errors import DatasetError
+from ovmot.imu_buffer import ImuBuffer
+from ovmot.msckf.ego import FilterEgo
+from ovmot.msckf.start_at_rest import rest_failure, start_at_rest
+from ovmot.msckf.start_in_motion import CannotStart, start_in_motion
+from ovmot.msckf.state import State
+from ovmot.msckf.zero_velocity import still_share
+from ovmot.types import FrontendFrame, ImuData, ImuNoise
+
+_MIN_REST_FRAMES = 3
+_OFFSET_SIGMAS = 4.0
+_MIN_MOTION_FRAMES = 5
+
+
+@dataclass(frozen=True, slots=True)
+class FilterStart:
+    """Looks at the frames seen so far and the IMU; gives a filter at the first of them."""
+
+    rig: StereoRig
+    noise: ImuNoise
+    settings: Settings
+
+    def imu_needed_until(self, frame_ns: int) -> int | None:
+        """The IMU time that must be reached before this frame is looked at.
+
+        A little more than the frame's own: the filter may move the time offset while it goes
+        through the frames it was started on.
+        """
+        return self._imu_ns(frame_ns) + round(1e9 * _OFFSET_SIGMAS * self._time_offset()[1])
+
+    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> FilterEgo | str:
+        """A filter whose state is at the first frame's time, or why there is none yet."""
+        reason = "too few frames"
+        try:
+            resting = self._at_rest(frames, imu)
+            if isinstance(resting, State):
+                return FilterEgo(resting, self.rig, self.noise, self.settings)
+            reason = f"not at rest: {resting}"
+            if self._span_s(frames) >= self.settings.initialization.motion_window_s:
+                moving = self._in_motion(frames, imu)
+                return FilterEgo(moving, self.rig, self.noise, self.settings)
+        except (CannotStart, DatasetError, np.linalg.LinAlgError) as error:
+            reason = f"{reason}; in motion: {error}"
+        return reason
+
+    def _at_rest(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State | str:
+        settings = self.settings.initialization
+        now = self._imu_ns(frames[-1].timestamp_ns)
+        first = imu.first_ns
+        begin = now - round(1e9 * settings.window_s)
+        if len(frames) < _MIN_REST_FRAMES or first is None or first > begin:
+            return f"fewer than {_MIN_REST_FRAMES} frames over {settings.window_s:g} s of IMU"
+        start = self._imu_ns(frames[0].timestamp_ns)
+        samples = imu.between(min(begin, start), now)
+        failure = rest_failure(samples, _share(frames, settings.rest_pixel), settings)
+        if failure is not None:
+            return failure
+        state = start_at_rest(
+            samples, self.noise, self.settings.filter.gravity_mps2, self._time_offset()
+        )
+        return _at_time(state, start)
+
+    def _in_motion(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State:
+        if len(frames) < _MIN_MOTION_FRAMES:
+            raise CannotStart(f"only {len(frames)} frames (at least {_MIN_MOTION_FRAMES})")
+        stamps = [self._imu_ns(f.timestamp_ns) for f in frames]
+        pieces: list[ImuData] = [
+            imu.between(a, b) for a, b in zip(stamps, stamps[1:], strict=False)
+        ]
+        return start_in_motion(
+            frames,
+            pieces,
+            self.rig,
+            self.noise,
+            self.settings.filter.gravity_mps2,
+            self._time_offset(),
+        )
+
+    def _imu_ns(self, frame_ns: int) -> int:
+        return frame_ns + round(self.rig.time_offset_s * 1e9)
+
+    def _time_offset(self) -> tuple[float, float]:
+        known = self.settings.filter
+        sigma = known.time_offset_sigma_s if known.estimate_time_offset else 0.0
+        return self.rig.time_offset_s, sigma
+
+    @staticmethod
+    def _span_s(frames: Sequence[FrontendFrame]) -> float:
+        return (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
+
+
+def _share(frames: Sequence[FrontendFrame], pixel: float) -> float:
+    """Share of the features of both ends of the window that stand still in the left image."""
+    first, last = frames[0], frames[-1]
+    _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
+    everything = np.ones(len(a), dtype=np.bool_)
+    return still_share(last.pixels[b, :2], first.pixels[a, :2], everything, pixel)
+
+
+def _at_time(state: State, timestamp_ns: int) -> State:
+    """The same resting state at another time of the rest."""
+    return State(
+        timestamp_ns, state.imu, state.imu_first, state.time_offset_s, state.clones,
+        state.covariance,
+    )  # fmt: skip

@@ -1,0 +1,234 @@
+"""Start in motion: stereo gives the scale, the IMU gives gravity, velocity and biases.
+
+Stereo motion from frame to frame is chained to positions p_k and rotations R_k of the IMU in its
+frame at the window's start. The gyro bias is that which turns the integrated rotations into R_k;
+then p_k = v t_k + g t_k²/2 + α_k + ∂α_k/∂b_a b_a is linear in velocity, gravity and accelerometer
+bias (in the manner of J. Domínguez-Conti et al., "Visual-inertial SLAM initialization: a general
+linear formulation", ISMAR 2018, with the scale known), and is solved again with |g| given.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
+from ovmot.msckf.start_at_rest import GAUGE_SIGMA
+from ovmot.msckf.state import (
+    ACCEL_BIAS,
+    FIRST_CLONE,
+    GYRO_BIAS,
+    POSITION,
+    THETA,
+    TIME_OFFSET,
+    VELOCITY,
+    ImuState,
+    State,
+    no_clones,
+)
+from ovmot.types import FrontendFrame, ImuData, ImuNoise
+
+_GYRO_BIAS_SIGMA = 0.05  # rad/s, prior
+_ACCEL_BIAS_SIGMA = 0.1  # m/s², prior
+_ROTATION_SIGMA = 0.01  # rad, of the gyro's rotation between two frames, bias unknown
+_PIXEL_SIGMA = 1.0
+_MIN_STEP_SIGMA = 0.003  # m, per frame
+_MAX_GRAVITY_ERROR = 1.5  # m/s², of the free solution
+_MAX_MISFIT = 4.0  # standard deviations, root mean square
+_INFLATION = 2.0  # on standard deviations: the window's images will be used again by the filter
+
+
+class CannotStart(Exception):
+    """Which test failed, with its numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPath:
+    """IMU poses T_start_k (K, 4, 4) of the window in its first frame, and position sigmas (K,)."""
+
+    T_start_imu: FloatArray
+    sigma: FloatArray
+
+
+def start_in_motion(
+    frames: Sequence[FrontendFrame],
+    imu: Sequence[ImuData],
+    rig: StereoRig,
+    noise: ImuNoise,
+    gravity: float,
+    time_offset: tuple[float, float],
+) -> State:
+    """The state at the first of K frames, from their features and the K - 1 IMU pieces between.
+
+    Raises `CannotStart` when the images give no motion or the two do not fit together.
+    """
+    path = stereo_path(frames, imu, rig)
+    bias = _gyro_bias(path, imu, noise)
+    pieces = _integrate_from_start(imu, bias, noise)
+    t = np.array([(i.timestamp_ns[-1] - imu[0].timestamp_ns[0]) * 1e-9 for i in imu])
+    alpha = np.array([x.imu.position for x in pieces])
+    by_bias = np.array([x.transition[POSITION, ACCEL_BIAS] for x in pieces])
+    p, sigma = path.T_start_imu[1:, :3, 3], path.sigma[1:]
+    free = _solve_free(p - alpha, t, sigma)
+    if abs(np.linalg.norm(free) - gravity) > _MAX_GRAVITY_ERROR:
+        raise CannotStart(
+            f"gravity from stereo motion and IMU is {np.linalg.norm(free):.2f} m/s²"
+            f" (within {_MAX_GRAVITY_ERROR:g} of {gravity:g})"
+        )
+    fit = _solve_with_gravity(p - alpha, by_bias, t, sigma, free, gravity)
+    if fit.misfit > _MAX_MISFIT:
+        raise CannotStart(
+            f"IMU and stereo motion differ by {fit.misfit:.1f} sigma (at most {_MAX_MISFIT:g})"
+        )
+    return _state_at_start(fit, bias, int(imu[0].timestamp_ns[0]), float(t[-1]), time_offset)
+
+
+def stereo_path(
+    frames: Sequence[FrontendFrame], imu: Sequence[ImuData], rig: StereoRig
+) -> StereoPath:
+    """Chain the stereo motion of consecutive frames; the gyroscope proposes each rotation."""
+    R_cam_imu = rig.T_imu_cam0[:3, :3].T
+    f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
+    sigma_plane = _PIXEL_SIGMA / np.array([f0[0], f0[1], f1[0], f1[1]])
+    T_start_cam = [np.eye(4)]
+    variance = [0.0]
+    for before, now, samples in zip(frames[:-1], frames[1:], imu, strict=True):
+        _, a, b = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
+        R = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+        motion = solve_stereo_motion(
+            before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma_plane,
+            _ROTATION_SIGMA,
+        )  # fmt: skip
+        if motion is None:
+            raise CannotStart(f"no common stereo motion among {len(a)} tracked points")
+        T_start_cam.append(T_start_cam[-1] @ se3.inverse(motion.T_now_before))
+        spread = float(np.trace(motion.covariance[3:, 3:])) / 3.0
+        variance.append(variance[-1] + spread + _MIN_STEP_SIGMA**2)
+    T = rig.T_imu_cam0 @ np.array(T_start_cam) @ se3.inverse(rig.T_imu_cam0)
+    return StereoPath(T, np.sqrt(np.array(variance)))
+
+
+def integrated_rotation(samples: ImuData) -> FloatArray:
+    """R_start_end (3, 3) of the gyroscope alone, no bias taken off."""
+    dt = np.diff(samples.timestamp_ns) * 1e-9
+    R = np.eye(3)
+    for step in so3.exp(0.5 * (samples.gyro[:-1] + samples.gyro[1:]) * dt[:, None]):
+        R = R @ step
+    return R
+
+
+def _integrate_from_start(
+    imu: Sequence[ImuData], gyro_bias: FloatArray, noise: ImuNoise
+) -> list[Propagation]:
+    """Motion without gravity from the first sample to the end of each piece, with Jacobians."""
+    zero = np.zeros(3)
+    start = ImuState(np.eye(3), zero, zero, gyro_bias, zero)
+    out: list[Propagation] = []
+    for k in range(len(imu)):
+        joined = _join(imu[: k + 1])
+        out.append(propagate_imu(start, start, joined, noise, 0.0, integrate_rk4))
+    return out
+
+
+def _join(pieces: Sequence[ImuData]) -> ImuData:
+    """Consecutive pieces as one: the end of each is the start of the next."""
+    return ImuData(
+        np.concatenate([pieces[0].timestamp_ns[:1], *[x.timestamp_ns[1:] for x in pieces]]),
+        np.concatenate([pieces[0].gyro[:1], *[x.gyro[1:] for x in pieces]]),
+        np.concatenate([pieces[0].accel[:1], *[x.accel[1:] for x in pieces]]),
+    )
+
+
+def _gyro_bias(path: StereoPath, imu: Sequence[ImuData], noise: ImuNoise) -> FloatArray:
+    """Gauss-Newton on the rotations: log(ΔR_kᵀ R_k) = ∂θ_k/∂b_g δb_g, with a prior."""
+    bias = np.zeros(3)
+    sigma = 0.002 * np.sqrt(np.arange(1, len(path.sigma)))
+    for _ in range(3):
+        pieces = _integrate_from_start(imu, bias, noise)
+        N, c = np.eye(3) / _GYRO_BIAS_SIGMA**2, -bias / _GYRO_BIAS_SIGMA**2
+        for k, piece in enumerate(pieces):
+            J = piece.transition[THETA, GYRO_BIAS]
+            r = so3.log(piece.imu.R_world_imu.T @ path.T_start_imu[k + 1, :3, :3])
+            N = N + J.T @ J / sigma[k] ** 2
+            c = c + J.T @ r / sigma[k] ** 2
+        bias = bias + np.linalg.solve(N, c)
+    return bias
+
+
+def _solve_free(moved: FloatArray, t: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Gravity (3,) in the start frame, its length free; bias taken as zero, velocity eliminated."""
+    A = np.stack([t, 0.5 * t**2], axis=1) / sigma[:, None]
+    solution, *_ = np.linalg.lstsq(A, moved / sigma[:, None], rcond=None)
+    gravity: FloatArray = solution[1]
+    return gravity
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """Velocity, gravity, accelerometer bias in the start frame; covariance (8, 8) over
+    (tilt along `basis` (3, 2), velocity, bias); root mean square misfit in sigmas."""
+
+    velocity: FloatArray
+    gravity: FloatArray
+    accel_bias: FloatArray
+    basis: FloatArray
+    covariance: FloatArray
+    misfit: float
+
+
+def _solve_with_gravity(
+    moved: FloatArray,
+    by_bias: FloatArray,
+    t: FloatArray,
+    sigma: FloatArray,
+    gravity_start: FloatArray,
+    magnitude: float,
+) -> _Fit:
+    """Gauss-Newton with |g| known: g = exp(B τ) g, two angles τ about axes B normal to g."""
+    g = gravity_start * magnitude / np.linalg.norm(gravity_start)
+    v, ba = np.zeros(3), np.zeros(3)
+    weight = 1.0 / sigma**2
+    N, B = np.eye(8), np.zeros((3, 2))
+    for _ in range(5):
+        B = np.linalg.svd(g[None])[2][1:].T
+        J = np.zeros((len(t), 3, 8))
+        J[:, :, :2] = -0.5 * (t**2)[:, None, None] * (so3.hat(g) @ B)
+        J[:, :, 2:5] = t[:, None, None] * np.eye(3)
+        J[:, :, 5:] = by_bias
+        r = moved - t[:, None] * v - 0.5 * (t**2)[:, None] * g - by_bias @ ba
+        N = np.einsum("kij,kil,k->jl", J, J, weight)
+        c = np.einsum("kij,ki,k->j", J, r, weight)
+        N[5:, 5:] += np.eye(3) / _ACCEL_BIAS_SIGMA**2
+        c[5:] -= ba / _ACCEL_BIAS_SIGMA**2
+        step = np.linalg.solve(N, c)
+        g = so3.exp(B @ step[:2]) @ g
+        v, ba = v + step[2:5], ba + step[5:]
+    r = moved - t[:, None] * v - 0.5 * (t**2)[:, None] * g - by_bias @ ba
+    misfit = float(np.sqrt(np.mean((r / sigma[:, None]) ** 2)))
+    return _Fit(v, g, ba, B, np.linalg.inv(N), misfit)
+
+
+def _state_at_start(
+    fit: _Fit, gyro_bias: FloatArray, start_ns: int, span: float, time_offset: tuple[float, float]
+) -> State:
+    """World with gravity along -z; the tilt g_true = exp(B τ) g is the rotation error δθ = -B τ."""
+    R = so3.between_vectors(fit.gravity, np.array([0.0, 0.0, -1.0]))
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    R = so3.exp(np.array([0.0, 0.0, -yaw])) @ R
+    imu = ImuState(R, np.zeros(3), R @ fit.velocity, gyro_bias, fit.accel_bias)
+    J = np.zeros((FIRST_CLONE, 8))
+    J[THETA, :2] = -fit.basis
+    J[VELOCITY, :2] = R @ so3.hat(fit.velocity) @ fit.basis
+    J[VELOCITY, 2:5] = R
+    J[ACCEL_BIAS, 5:] = np.eye(3)
+    P = _INFLATION**2 * J @ fit.covariance @ J.T
+    down = fit.gravity / np.linalg.norm(fit.gravity)
+    P[THETA, THETA] += GAUGE_SIGMA**2 * np.outer(down, down) + 1e-8 * np.eye(3)
+    P[POSITION, POSITION] += GAUGE_SIGMA**2 * np.eye(3)
+    P[GYRO_BIAS, GYRO_BIAS] += (_INFLATION * 0.004 / span) ** 2 * np.eye(3)
+    P[TIME_OFFSET, TIME_OFFSET] = time_offset[1] ** 2
+    return State(start_ns, imu, imu, time_offset[0], no_clones(), P)

@@ -1,0 +1,113 @@
+"""Stereo points then and now, compared under the ego motion.
+
+Both positions come from stereo alone: a moving point can not be refined by repeated views. A
+point p_then, carried by the ego motion into the present left camera, should be seen where the
+present stereo pair sees it, if it stood still.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
+from ovmot.types import PoseWindow
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """L earlier rows against now, for N features; NaN where a feature was not seen in stereo.
+
+    `span_s` (L,): time between. `predicted` (L, N, 3): the earlier point carried into the present
+    left camera, metres. `residual` (L, N, 4): observed minus predicted plane coordinates of both
+    views; `J` (L, N, 4, 3): derivative of the prediction by the point; `S` (L, N, 4, 4):
+    covariance of the residual for a point at rest (pixels then and now, and the ego motion).
+    """
+
+    span_s: FloatArray
+    predicted: FloatArray
+    residual: FloatArray
+    J: FloatArray
+    S: FloatArray
+
+    @property
+    def tested(self) -> BoolArray:
+        """Which comparisons (L, N) exist."""
+        return np.isfinite(self.residual).all(-1) & np.isfinite(self.S).all((-1, -2))
+
+
+@dataclass(frozen=True, slots=True)
+class StereoHistory:
+    """Stereo pairs of N features at L earlier frames and now, as plane coordinates.
+
+    `then` (L, N, 4), `now` (N, 4); `clone_index` (L,): the pose of each earlier frame in the
+    window; `span_s` (L,): how long ago.
+    """
+
+    then: FloatArray
+    now: FloatArray
+    clone_index: IntArray
+    span_s: FloatArray
+
+
+def plane_sigma(rig: StereoRig, sigma_px: float) -> FloatArray:
+    """Standard deviations (4,) of a stereo pair's plane coordinates."""
+    f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
+    return sigma_px / np.array([f0[0], f0[1], f1[0], f1[1]])
+
+
+def compare(
+    history: StereoHistory, window: PoseWindow, rig: StereoRig, sigma_px: float
+) -> Comparison:
+    """Carry the earlier points into the present camera and compare, with covariances.
+
+    C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now.
+    """
+    sigma = plane_sigma(rig, sigma_px)
+    T_c1_c0 = rig.T_cam1_cam0
+    p_then = triangulate_stereo(history.then, T_c1_c0)
+    C_then = stereo_covariance(p_then, T_c1_c0, sigma)
+
+    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
+    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
+    predicted = se3.apply(T_now_then[:, None], p_then)
+    predicted = np.where(predicted[..., 2:] > 0.1, predicted, np.nan)
+    R = T_now_then[:, None, :3, :3]
+    C = R @ C_then @ np.swapaxes(R, -1, -2)
+    C = C + _ego_covariance(history.clone_index, p_then, window, rig)
+
+    seen, J = project_stereo(predicted, T_c1_c0)
+    S = J @ C @ np.swapaxes(J, -1, -2) + np.diag(sigma**2)
+    return Comparison(history.span_s, predicted, history.now - seen, J, S)
+
+
+def _ego_covariance(
+    clone_index: IntArray, p_then_cam0: FloatArray, window: PoseWindow, rig: StereoRig
+) -> FloatArray:
+    """Covariance (L, N, 3, 3) that the two poses' errors give to the carried point, camera frame.
+
+    p_now = R_nᵀ (R_t p_t + t_t - t_n): by δθ_n: [p_now]x, by δt_n: -R_nᵀ, by δθ_t: -R_nᵀ R_t [p_t]x,
+    by δt_t: R_nᵀ.
+    """
+    n_rows, n_features = p_then_cam0.shape[:2]
+    T_now, T_then = window.T_world_imu[-1], window.T_world_imu[clone_index]
+    p_then = se3.apply(rig.T_imu_cam0, p_then_cam0)
+    p_now = se3.apply((se3.inverse(T_now) @ T_then)[:, None], p_then)
+    R_now_T = T_now[:3, :3].T
+    J = np.empty((n_rows, n_features, 3, 12))
+    J[..., 0:3] = so3.hat(p_now)
+    J[..., 3:6] = -R_now_T
+    J[..., 6:9] = -(R_now_T @ T_then[:, None, :3, :3]) @ so3.hat(p_then)
+    J[..., 9:12] = R_now_T
+    last = len(window.timestamp_ns) - 1
+    P = np.stack([_pair_covariance(window.covariance, last, int(k)) for k in clone_index])
+    J = rig.T_imu_cam0[:3, :3].T @ J
+    return J @ P[:, None] @ np.swapaxes(J, -1, -2)
+
+
+def _pair_covariance(covariance: FloatArray, a: int, b: int) -> FloatArray:
+    """Joint covariance (12, 12) of clones a and b; a clone compared with itself adds nothing."""
+    index = np.r_[6 * a : 6 * a + 6, 6 * b : 6 * b + 6]
+    return covariance[np.ix_(index, index)]

@@ -1,0 +1,216 @@
+"""The program: IMU samples and stereo frames in, one `FrameResult` a frame out."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Protocol, Self
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import Settings
+from ovmot.errors import DatasetError
+from ovmot.frontend.tracker import StereoTracker
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.imu_buffer import ImuBuffer
+from ovmot.msckf.start_in_motion import integrated_rotation
+from ovmot.objects.split import Split, split_points
+from ovmot.timing import Stopwatch
+from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table
+from ovmot.types import (
+    EgoEstimate,
+    Event,
+    FrameResult,
+    FrontendFrame,
+    ImuSample,
+    PointLabel,
+    PoseWindow,
+    StereoFrame,
+)
+
+_IMU_KEPT_NS = 1_000_000_000  # more than any time offset
+
+STAGES = ("start", "predict", "match", "split", "correct", "forget")
+
+
+class Ego(Protocol):
+    """A source of ego motion: the filter, or poses from a file. Each step gives a new one."""
+
+    @property
+    def standing(self) -> bool:
+        """Did the rig stand still at the newest frame?"""
+        ...
+
+    def imu_needed_until(self, frame_ns: int) -> int | None:
+        """The IMU time that a frame must wait for, or None."""
+        ...
+
+    def predict(self, frame_ns: int, imu: ImuBuffer) -> Self:
+        """Go to the frame's time and remember its pose."""
+        ...
+
+    def correct(self, table: TrackTable, moving: BoolArray) -> tuple[Self, TrackTable]:
+        """Use what was seen; `moving` (F,) marks features not to be used now."""
+        ...
+
+    def forget(self, table: TrackTable) -> tuple[Self, TrackTable]:
+        """Let a pose leave the window."""
+        ...
+
+    def window(self) -> PoseWindow:
+        """The poses of the window and their covariance."""
+        ...
+
+    def estimate(self, frame_ns: int) -> EgoEstimate:
+        """The state at the newest frame."""
+        ...
+
+
+class Start(Protocol):
+    """Looks for a start in the frames seen so far."""
+
+    def imu_needed_until(self, frame_ns: int) -> int | None:
+        """The IMU time that a frame must wait for, or None."""
+        ...
+
+    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> Ego | str:
+        """An ego source at the first frame's time, or why there is none yet."""
+        ...
+
+
+class Pipeline:
+    """Keeps the tracker, the IMU buffer, the ego source and the table of what was seen."""
+
+    def __init__(self, rig: StereoRig, settings: Settings, start: Start) -> None:
+        self._rig = rig
+        self._settings = settings
+        self._start = start
+        self._tracker = StereoTracker(rig, settings.tracker, settings.epipolar)
+        self._imu = ImuBuffer()
+        self._ego: Ego | None = None
+        self._table = empty_table()
+        self._waiting: deque[StereoFrame] = deque()
+        self._pending: deque[FrontendFrame] = deque()
+        self._last_frame_ns: int | None = None
+        self.not_started_because = "no frame was seen"
+        self.dropped = 0
+
+    def feed(self, event: Event) -> list[FrameResult]:
+        """Take one IMU sample or stereo frame; give the results that it made possible.
+
+        A frame is held until the IMU covers its time. Raises `DatasetError` where the stamps of a
+        kind do not rise.
+        """
+        if isinstance(event, ImuSample):
+            self._imu.append(event)
+        else:
+            self._check_order(event)
+            self._waiting.append(event)
+        results: list[FrameResult] = []
+        while self._waiting and self._is_covered(self._waiting[0].timestamp_ns):
+            result = self.step(self._waiting.popleft())
+            if result is not None:
+                results.append(result)
+        return results
+
+    def step(self, frame: StereoFrame) -> FrameResult | None:
+        """One frame through all stages; None while there is no start."""
+        watch = Stopwatch()
+        # 0 before: look for a start, and go through the frames it was found in
+        if self._ego is None:
+            return self._before(frame, watch)
+        # 1 predict: propagate to the frame's time and clone the pose
+        with watch.stage("predict"):
+            ego = self._ego.predict(frame.timestamp_ns, self._imu)
+        # 2 match: follow, match left to right, check every pair by the extrinsics
+        with watch.stage("match"):
+            seen, matches = self._tracker.track(frame, camera_motion(ego.window(), self._rig))
+        # 3 split by the predicted motion, 4 correct, 7 forget
+        ego, split = self._estimate(ego, seen, watch)
+        self._imu.forget_before(frame.timestamp_ns - _IMU_KEPT_NS)
+        return FrameResult(
+            frame, ego.estimate(frame.timestamp_ns), split.points, matches, (), watch.milliseconds
+        )
+
+    def close(self) -> None:
+        """Stop worker threads and count the frames that the IMU never covered."""
+        self.dropped += len(self._waiting)
+        self._waiting.clear()
+        self._tracker.close()
+
+    def _estimate(self, ego: Ego, seen: FrontendFrame, watch: Stopwatch) -> tuple[Ego, Split]:
+        """Steps 3 to 7 on what was seen in one frame, whose pose is predicted."""
+        table = append_frame(self._table, seen)
+        # 3 split: what the predicted motion does not explain leaves the filter with its history
+        with watch.stage("split"):
+            split = split_points(table, seen, ego.window(), self._rig, self._settings.split)
+            points = split.points
+            dynamic = points.label == int(PointLabel.DYNAMIC)
+            table = bar_features(table, points.feature_id[dynamic])
+            moving = np.isin(table.feature_id, points.feature_id[split.suspect])
+        # 4 correct: zero velocity, ended features
+        with watch.stage("correct"):
+            ego, table = ego.correct(table, moving)
+        # 7 forget: the oldest pose leaves, or the newest when standing
+        with watch.stage("forget"):
+            self._ego, self._table = ego.forget(table)
+        return self._ego, split
+
+    def _before(self, frame: StereoFrame, watch: Stopwatch) -> FrameResult | None:
+        """Track with the gyroscope's rotation, try to start; on success catch up with this frame."""
+        with watch.stage("match"):
+            seen, matches = self._tracker.track(frame, self._rotation_before_start(frame))
+        self._pending.append(seen)
+        span_ns = round(1e9 * self._settings.initialization.motion_window_s)
+        while seen.timestamp_ns - self._pending[0].timestamp_ns > 1.2 * span_ns:
+            self._pending.popleft()
+        with watch.stage("start"):
+            ego = self._start(tuple(self._pending), self._imu)
+            if isinstance(ego, str):
+                self.not_started_because = ego
+                return None
+            split: Split | None = None
+            for earlier in self._pending:
+                ego, split = self._estimate(
+                    ego.predict(earlier.timestamp_ns, self._imu), earlier, Stopwatch()
+                )
+            assert split is not None
+        self._pending.clear()
+        return FrameResult(
+            frame, ego.estimate(frame.timestamp_ns), split.points, matches, (), watch.milliseconds
+        )
+
+    def _rotation_before_start(self, frame: StereoFrame) -> FloatArray:
+        """Left camera's rotation since the last frame by the gyroscope alone, as T_now_before."""
+        T = np.eye(4)
+        if not self._pending:
+            return T
+        try:
+            samples = self._imu.between(self._pending[-1].timestamp_ns, frame.timestamp_ns)
+        except DatasetError:
+            return T  # no IMU there: start at the old positions
+        R_cam_imu = self._rig.T_imu_cam0[:3, :3].T
+        T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+        return T
+
+    def _check_order(self, frame: StereoFrame) -> None:
+        if self._last_frame_ns is not None and frame.timestamp_ns <= self._last_frame_ns:
+            raise DatasetError(
+                f"frame stamp {frame.timestamp_ns} does not follow {self._last_frame_ns}:"
+                " frames must be in time order"
+            )
+        self._last_frame_ns = frame.timestamp_ns
+
+    def _is_covered(self, frame_ns: int) -> bool:
+        source = self._start if self._ego is None else self._ego
+        needed = source.imu_needed_until(frame_ns)
+        last = self._imu.last_ns
+        return needed is None or (last is not None and last >= needed)
+
+
+def camera_motion(window: PoseWindow, rig: StereoRig) -> FloatArray:
+    """T_now_before (4, 4) of the left camera between the two newest poses of a window."""
+    if len(window.timestamp_ns) < 2:
+        return np.eye(4)
+    T_world_cam0 = window.T_world_imu[-2:] @ rig.T_imu_cam0
+    return se3.inverse(T_world_cam0[1]) @ T_world_cam0[0]

@@ -1,0 +1,146 @@
+"""One run: a sequence through the pipeline into an output folder."""
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.config import Settings
+from ovmot.datasets.sequence import FolderSequence
+from ovmot.datasets.stream import events
+from ovmot.errors import InputError, OvmotError
+from ovmot.formats import read_ego_poses
+from ovmot.given_ego import GivenEgo, GivenStart, imu_poses_from_cam0
+from ovmot.msckf.start import FilterStart
+from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
+from ovmot.outputs.run_writer import RunWriter, open_outputs
+from ovmot.pipeline import STAGES, Pipeline, Start
+from ovmot.types import ImuNoise, StereoFrame
+
+# Where neither the data nor the settings say it: a MEMS unit of the middle class.
+_DEFAULT_NOISE = ImuNoise(gyro=1.7e-4, gyro_walk=2e-5, accel=2e-3, accel_walk=3e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What to write, and where from the poses come if not from the filter."""
+
+    out: Path
+    ego_poses: Path | None = None
+    save_points: bool = False
+    video: bool = False
+    force: bool = False
+    first: int = 0
+    last: int | None = None
+
+
+def run_sequence(
+    sequence: FolderSequence,
+    settings: Settings,
+    options: RunOptions,
+    on_frame: Callable[[int], None] = lambda _: None,
+) -> RunSummary:
+    """Run, write everything into `options.out`, and say how it went.
+
+    `on_frame` is called with the number of frames read. An error or Ctrl-C in the middle leaves
+    whole rows and a `run.json` that says so, and is raised again.
+    """
+    start = make_start(sequence, settings, options.ego_poses)
+    counts: Counter[str] = Counter(sequence.counts)
+    began = time.perf_counter()
+    ended = "finished"
+    pipeline = Pipeline(sequence.rig, settings, start)
+    writer = open_outputs(
+        options.out, rig=sequence.rig, save_points=options.save_points, video=options.video,
+        force=options.force, stages=STAGES,
+    )  # fmt: skip
+    try:
+        with writer:
+            _feed_all(sequence, pipeline, writer, options, counts, on_frame)
+    except KeyboardInterrupt:
+        ended = "interrupted"
+        raise
+    except Exception as error:
+        ended = f"failed: {error}"
+        raise
+    finally:
+        pipeline.close()
+        counts["frames_written"] = writer.frames_written
+        counts["frames_never_covered_by_imu"] = pipeline.dropped
+        warnings = Counter(sequence.warnings)
+        if writer.frames_written == 0:
+            warnings[f"no frame has a pose: {pipeline.not_started_because}"] += 1
+        summary = RunSummary(
+            settings, _identity(sequence), counts, warnings, ended, time.perf_counter() - began
+        )
+        write_run_json(options.out, summary)
+    if writer.frames_written == 0:
+        raise OvmotError(f"{sequence.root}: never started: {pipeline.not_started_because}")
+    return summary
+
+
+def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | None) -> Start:
+    """Where the ego motion comes from: a pose file if one is given, else the filter."""
+    if ego_poses is not None:
+        ego = read_ego_poses(ego_poses, sequence.frame_ns)
+        T = ego.T_world_body[ego.known]
+        if ego.body == "cam0":
+            T = imu_poses_from_cam0(T, sequence.rig)
+        stamps = ego.timestamp_ns[ego.known]
+        return GivenStart(GivenEgo(stamps, T, sequence.rig, settings.given_ego))
+    if sequence.imu is None:
+        raise InputError.at(
+            sequence.root,
+            "has no IMU",
+            "give the ego motion by --ego poses FILE (TUM or KITTI form)",
+        )
+    return FilterStart(sequence.rig, imu_noise(sequence, settings), settings)
+
+
+def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:
+    """Noise densities: the settings' where given, else the data's, else a usual MEMS unit's."""
+    known = sequence.imu_noise or _DEFAULT_NOISE
+    told = settings.imu
+    return ImuNoise(
+        gyro=told.gyro_noise or known.gyro,
+        gyro_walk=told.gyro_walk or known.gyro_walk,
+        accel=told.accel_noise or known.accel,
+        accel_walk=told.accel_walk or known.accel_walk,
+    )
+
+
+def _feed_all(
+    sequence: FolderSequence,
+    pipeline: Pipeline,
+    writer: RunWriter,
+    options: RunOptions,
+    counts: Counter[str],
+    on_frame: Callable[[int], None],
+) -> None:
+    stream = events(sequence, first=options.first, last=options.last)
+    try:
+        for event in stream:
+            if isinstance(event, StereoFrame):
+                counts["frames_read"] += 1
+                on_frame(counts["frames_read"])
+            else:
+                counts["imu_samples_read"] += 1
+            for result in pipeline.feed(event):
+                writer.write(result)
+    finally:
+        stream.close()
+
+
+def _identity(sequence: FolderSequence) -> InputIdentity:
+    stamps = sequence.frame_ns
+    return InputIdentity(
+        path=str(sequence.root),
+        kind=sequence.kind,
+        n_frames=len(sequence),
+        n_imu_samples=0 if sequence.imu is None else len(sequence.imu),
+        first_timestamp_ns=int(np.min(stamps)) if len(stamps) else None,
+        last_timestamp_ns=int(np.max(stamps)) if len(stamps) else None,
+    )

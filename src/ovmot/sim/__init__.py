@@ -1,0 +1,1 @@
+"""Simulation with exact truth: trajectories, an IMU, a rendered street."""

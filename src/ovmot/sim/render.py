@@ -1,0 +1,135 @@
+"""Stereo pictures of a scene, with depth and object ids as truth, through any lens model."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
+from ovmot.geometry.splines import PoseSpline
+from ovmot.sim import kernel
+from ovmot.sim.scene import Box, Scene, Texture
+from ovmot.types import StereoFrame
+
+_AMBIENT = 0.72
+_FACE_NORMALS = np.array(
+    [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], dtype=np.float64
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One camera's view: grey (H, W) in 0..255 as float32, not yet rounded.
+
+    `object_id` (H, W) uint8 is 0 where no mover is seen; `depth` (H, W) float32 is the distance
+    along the camera's z axis in m, infinite for the sky, NaN where the lens has no ray; both
+    belong to the pixel's middle. `surface` (H, W) int32 tells the faces of all bodies apart.
+    """
+
+    grey: AnyArray
+    object_id: Image
+    depth: AnyArray
+    surface: AnyArray
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedFrame:
+    """A stereo pair as a camera would give it, and the truth behind it."""
+
+    frame: StereoFrame
+    left: Picture
+    right: Picture
+
+
+def camera_rays(camera: Camera) -> FloatArray:
+    """Rays (H, W, 3) with z = 1 through the middles of all pixels; NaN where the lens has none."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    xy = camera.normalize(np.stack([u, v], axis=-1).astype(np.float64))
+    return np.ascontiguousarray(np.concatenate([xy, np.ones((*u.shape, 1))], axis=-1))
+
+
+def render_picture(
+    scene: Scene, rays: FloatArray, T_world_cam: FloatArray, timestamp_ns: int
+) -> Picture:
+    """What a camera with these rays (H, W, 3) sees of the scene at one time, without noise."""
+    boxes, object_id = scene.placed_boxes(timestamp_ns)
+    view, order = _view(scene, boxes, T_world_cam)
+    grey = np.empty(rays.shape[:2], dtype=np.float32)
+    depth = np.empty_like(grey)
+    surface = np.empty(rays.shape[:2], dtype=np.int32)
+    kernel.render_view(rays, view, grey, surface, depth)
+    ids = np.concatenate([[0], np.asarray(object_id, dtype=np.uint8)[order]]).astype(np.uint8)
+    seen = np.where(surface >= kernel.FIRST_BOX, (surface - kernel.FIRST_BOX) // 6 + 1, 0)
+    return Picture(np.clip(np.nan_to_num(grey), 0.0, 255.0), ids[seen], depth, surface)
+
+
+def expose(picture: Picture, noise_grey: float, rng: np.random.Generator) -> Image:
+    """The picture as 8-bit grey (H, W), with white noise of `noise_grey` levels."""
+    noise = noise_grey * rng.standard_normal(picture.grey.shape, dtype=np.float32)
+    return np.asarray(np.clip(np.round(picture.grey + noise), 0, 255), dtype=np.uint8)
+
+
+def render_stereo(
+    scene: Scene,
+    rig: StereoRig,
+    path: PoseSpline,
+    timestamp_ns: IntArray,
+    noise_grey: float,
+    rng: np.random.Generator,
+) -> Iterator[RenderedFrame]:
+    """Stereo frames along T_world_imu(t) at camera times (N,); both views at once, two threads."""
+    rays = [camera_rays(camera) for camera in rig.cameras]
+    mounts = (rig.T_imu_cam0, rig.T_imu_cam1)
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for time_ns in (int(t) for t in timestamp_ns):
+            T_world_imu = path.pose(time_ns)
+            jobs = [
+                pool.submit(render_picture, scene, r, T_world_imu @ T_imu_cam, time_ns)
+                for r, T_imu_cam in zip(rays, mounts, strict=True)
+            ]
+            left, right = (job.result() for job in jobs)
+            pair = StereoFrame(
+                time_ns, expose(left, noise_grey, rng), expose(right, noise_grey, rng)
+            )
+            yield RenderedFrame(pair, left, right)
+
+
+def _view(scene: Scene, boxes: list[Box], T_world_cam: FloatArray) -> tuple[kernel.View, IntArray]:
+    """The kernel's arrays, boxes ordered by nearness, and that order (B,)."""
+    T_world_box = np.array([box.T_body_box for box in boxes]).reshape(-1, 4, 4)
+    half = 0.5 * np.array([box.size for box in boxes]).reshape(-1, 3)
+    T_box_cam = se3.inverse(T_world_box) @ T_world_cam
+    center = se3.inverse(T_box_cam)[:, :3, 3]
+    distance = np.linalg.norm(center, axis=-1)
+    radius = np.linalg.norm(half, axis=-1)
+    near = np.maximum(distance - radius, 0.0)
+    inside = distance <= radius
+    spread = np.where(
+        inside, np.pi, np.arcsin(np.where(inside, 0.0, radius / np.maximum(distance, 1e-9)))
+    )
+    normals = np.einsum("bij,fj->bfi", T_world_box[:, :3, :3], _FACE_NORMALS)
+    light = np.maximum(normals @ (scene.sun / np.linalg.norm(scene.sun)), 0.0)
+    order = np.argsort(near, kind="stable")
+    textures = [scene.sky, scene.ground, *(boxes[i].texture for i in order)]
+    view = kernel.View(
+        R_world_cam=np.ascontiguousarray(T_world_cam[:3, :3]),
+        p_world_cam=np.ascontiguousarray(T_world_cam[:3, 3]),
+        rotation=np.ascontiguousarray(T_box_cam[order, :3, :3]),
+        origin=np.ascontiguousarray(T_box_cam[order, :3, 3]),
+        half=half[order],
+        axis=(center / np.maximum(distance, 1e-9)[:, None])[order],
+        spread=spread[order],
+        near=near[order],
+        shade=(_AMBIENT + (1.0 - _AMBIENT) * light)[order],
+        look=np.array([_look(texture) for texture in textures]),
+        seed=np.array([texture.seed for texture in textures], dtype=np.uint64),
+    )
+    return view, order
+
+
+def _look(texture: Texture) -> tuple[float, float, float, float]:
+    return texture.mean, texture.contrast, texture.cell_m, texture.softness
