@@ -128,6 +128,7 @@ def _coefficients(v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     small = angle < 1e-3
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1.0 - squared / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - squared / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    half_sine = np.sin(0.5 * safe)  # 1 - cos t = 2 sin²(t/2), which does not cancel
+    b = np.where(small, 0.5 - squared / 24.0, 2.0 * (half_sine / safe) ** 2)
     c = np.where(small, 1.0 / 6.0 - squared / 120.0, (safe - np.sin(safe)) / safe**3)
     return a, b, c
