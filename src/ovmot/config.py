@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
 from ovmot.errors import InputError
 
@@ -18,6 +25,14 @@ class _Section(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
     )
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _truth_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        field = cls.model_fields[info.field_name or ""]
+        if isinstance(value, bool) and field.annotation is not bool:
+            raise ValueError("must not be true or false (yes, no, on, off)")
+        return value
 
 
 class TrackerSettings(_Section):
@@ -152,8 +167,10 @@ class SplitSettings(_Section):
     """Covariance test: probability that a static point is called dynamic in one comparison."""
     forgiven_speed_mps: float = Field(0.15, ge=0.0)
     """Covariance test: standard deviation of the drift forgiven to points at rest."""
-    pixel_sigma: float = Field(0.7, gt=0.0)
+    pixel_sigma: float = Field(0.3, gt=0.0)
     """Covariance test: standard deviation of a stereo point's pixels."""
+    drift_per_flow: float = Field(0.01, ge=0.0)
+    """Covariance test: further standard deviation, as a share of the way through the image."""
 
 
 class Settings(_Section):
@@ -182,8 +199,8 @@ def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
     try:
         return Settings.model_validate(data)
     except ValidationError as error:
-        source = "settings" if path is None else str(path)
-        raise InputError(f"{source}: {'; '.join(_plain_messages(error))}") from None
+        sources = ([] if path is None else [str(path)]) + [f"--set {text}" for text in overrides]
+        raise InputError(f"{', '.join(sources)}: {'; '.join(_plain_messages(error))}") from None
 
 
 def describe_settings() -> Iterator[tuple[str, str, str, str]]:
@@ -199,9 +216,25 @@ def describe_settings() -> Iterator[tuple[str, str, str, str]]:
             yield f"{section_name}.{name}", kind, str(field.default), field.description or ""
 
 
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML's safe loader, but a key given twice is an error: else the first is lost silently."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue  # refused below
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"found '{key.value}' twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+        loaded = yaml.load(path.read_text(encoding="utf-8"), _UniqueKeyLoader)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot read the settings file: {error}") from None
     except yaml.YAMLError as error:
@@ -210,7 +243,8 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         return {}
     if not isinstance(loaded, dict):
         raise InputError(f"{path}: expected sections such as 'tracker:', found {loaded!r}")
-    return loaded
+    # a section whose keys are all commented out
+    return {key: {} if value is None else value for key, value in loaded.items()}
 
 
 def _apply_override(data: dict[str, Any], text: str) -> None:
@@ -222,11 +256,10 @@ def _apply_override(data: dict[str, Any], text: str) -> None:
         parsed = yaml.safe_load(value)
     except yaml.YAMLError:
         raise InputError(f"--set {text}: the value is not valid YAML") from None
-    if data.get(section) is None:
-        data[section] = {}
-    if not isinstance(data[section], dict):
+    keys = data.get(section, {})
+    if not isinstance(keys, dict):
         raise InputError(f"--set {text}: '{section}' holds no keys in the settings file")
-    data[section] = {**data[section], name: parsed}
+    data[section] = {**keys, name: parsed}
 
 
 def _plain_messages(error: ValidationError) -> Iterator[str]:

@@ -1,0 +1,37 @@
+"""Process-wide limits; each test looks at a fresh interpreter, since they act once, on import."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from ovmot.runtime import BLAS_THREAD_VARIABLES
+
+
+def output_of(code: str, **extra: str) -> str:
+    environment = {k: v for k, v in os.environ.items() if k not in BLAS_THREAD_VARIABLES}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment | extra, check=True, capture_output=True,
+        text=True, timeout=60,
+    )  # fmt: skip
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize("variable", BLAS_THREAD_VARIABLES)
+def test_importing_ovmot_asks_blas_for_one_thread(variable: str) -> None:
+    assert output_of(f"import ovmot, os; print(os.environ[{variable!r}])") == "1"
+
+
+def test_the_users_own_number_of_threads_stands() -> None:
+    code = "import ovmot, os; print(os.environ['OMP_NUM_THREADS'])"
+    assert output_of(code, OMP_NUM_THREADS="3") == "3"
+
+
+def test_importing_ovmot_does_not_import_numpy() -> None:
+    assert output_of("import ovmot, sys; print('numpy' in sys.modules)") == "False"
+
+
+def test_prepare_process_turns_opencvs_threads_off() -> None:
+    code = "from ovmot.runtime import prepare_process; prepare_process(); import cv2; "
+    assert output_of(code + "print(cv2.getNumThreads())") == "1"
