@@ -16,13 +16,15 @@ from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
 SKY, GROUND, FIRST_BOX = 0, 1, 2
 OCTAVES = 6
 PERSISTENCE = 0.75
+OCTAVE_SHIFT = 0.37
 EDGE_PIXELS = 1.3
 """Width of a lattice edge in the picture, in pixels."""
 SHARPEST = 0.02
 HORIZON = 0.12
 SAMPLES = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
 _TILE = 16
-_PIXEL_SLACK = 1.5
+_SLACK, _LEAST_SLACK = 0.15, 0.01
+"""Share of a tile, and of the plane z = 1, by which a tile is widened for bent and extra rays."""
 
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -36,19 +38,17 @@ def _compiled(function: _F) -> _F:
 class View(NamedTuple):
     """A scene as one camera sees it. B boxes, the nearest first; camera rays have z = 1.
 
-    `rotation` (B, 3, 3) turns camera directions into the box's frame, `origin` (B, 3) is the camera
-    there, `half` (B, 3) half the sides. A cone about each: `axis` (B, 3) in the camera, `spread`
-    (B,) rad, `near` (B,) m. `shade` (B, 6): light on the faces -x, +x, -y, +y, -z, +z. `look`
-    (B+2, 4): mean, contrast, cell, softness, and `seed` (B+2,) uint64, of sky, ground, boxes.
+    `rotation` (B+1, 3, 3) turns camera directions into the frames of the world and of each box, and
+    `origin` (B+1, 3) is the camera there; `half` (B, 3) half the sides. `bounds` (B, 4): least x,
+    y, greatest x, y of the box in the plane z = 1; `near` (B,): its least depth, m. `shade` (B, 6):
+    light on the faces -x, +x, -y, +y, -z, +z. `look` (B+2, 4): mean, contrast, cell, softness, and
+    `seed` (B+2,) uint64, of sky, ground, boxes.
     """
 
-    R_world_cam: FloatArray
-    p_world_cam: FloatArray
     rotation: FloatArray
     origin: FloatArray
     half: FloatArray
-    axis: FloatArray
-    spread: FloatArray
+    bounds: FloatArray
     near: FloatArray
     shade: FloatArray
     look: FloatArray
@@ -56,7 +56,7 @@ class View(NamedTuple):
 
 
 @_compiled
-def _cell(ix: int, iy: int, seed: int) -> float:
+def _cell(ix: np.int64, iy: np.int64, seed: np.uint64) -> float:
     """A hash of a lattice cell as a number in [-1, 1) (multiply and xor-shift mixing)."""
     h = (
         np.uint64(ix) * np.uint64(0x9E3779B97F4A7C15)
@@ -74,64 +74,62 @@ def _ramp(f: float, width: float) -> float:
 
 
 @_compiled
-def _noise(x: float, y: float, width_x: float, width_y: float, seed: int) -> float:
+def _noise(x: float, y: float, width_x: float, width_y: float, seed: np.uint64) -> float:
     """Value noise at lattice coordinates, its edges as wide as told (1: bilinear)."""
     fx, fy = math.floor(x), math.floor(y)
     ix, iy = np.int64(fx), np.int64(fy)
     sx, sy = _ramp(x - fx, width_x), _ramp(y - fy, width_y)
+    one = np.int64(1)
     if sx in (0.0, 1.0) and sy in (0.0, 1.0):
         return _cell(ix + np.int64(sx), iy + np.int64(sy), seed)
-    low = (1.0 - sx) * _cell(ix, iy, seed) + sx * _cell(ix + 1, iy, seed)
-    high = (1.0 - sx) * _cell(ix, iy + 1, seed) + sx * _cell(ix + 1, iy + 1, seed)
+    low = (1.0 - sx) * _cell(ix, iy, seed) + sx * _cell(ix + one, iy, seed)
+    high = (1.0 - sx) * _cell(ix, iy + one, seed) + sx * _cell(ix + one, iy + one, seed)
     return (1.0 - sy) * low + sy * high
 
 
 @_compiled
 def _texture(
-    u: float, v: float, pixel_u: float, pixel_v: float, look: FloatArray, seed: int
+    u: float, v: float, pixel_u: float, pixel_v: float, looks: FloatArray, row: int, seed: np.uint64
 ) -> float:
     """Grey at a surface point (m) that a pixel covers by pixel_u x pixel_v metres.
 
     An octave fades out before its cells are as small as the pixel, so that it can not alias.
     """
-    grey = look[0]
-    size, amplitude = look[2], look[1]
+    grey, amplitude, size, softness = looks[row, 0], looks[row, 1], looks[row, 2], looks[row, 3]
+    shift = 0.0
     for octave in range(OCTAVES):
         width_u, width_v = EDGE_PIXELS * pixel_u / size, EDGE_PIXELS * pixel_v / size
         fade = min(2.0 - 2.0 * max(width_u, width_v), 1.0)
         if fade <= 0.0:
             break
-        soft_u = min(max(width_u, look[3], SHARPEST), 1.0)
-        soft_v = min(max(width_v, look[3], SHARPEST), 1.0)
-        shift = 0.37 * octave
+        soft_u = min(max(width_u, softness, SHARPEST), 1.0)
+        soft_v = min(max(width_v, softness, SHARPEST), 1.0)
         mixed = seed + np.uint64(octave * 7919)
         n = _noise(u / size + shift, v / size + shift, soft_u, soft_v, mixed)
         grey += fade * amplitude * n
         size *= 0.5
+        shift += OCTAVE_SHIFT
         amplitude *= PERSISTENCE
-    return grey
+    return float(grey)
 
 
 @_compiled
-def _turn(R: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    return (
-        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
-        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
-        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
-    )
+def _row(R: FloatArray, i: int, k: int, x: tuple[float, float, float]) -> float:
+    """Component k of R_i x."""
+    return float(R[i, k, 0] * x[0] + R[i, k, 1] * x[1] + R[i, k, 2] * x[2])
 
 
 @_compiled
-def _hit_box(o: FloatArray, dx: float, dy: float, dz: float, half: FloatArray) -> tuple[float, int]:
-    """Distance along the ray to the box and the face met; (-1, 0) for a miss (slab method)."""
+def _hit_box(view: View, b: int, ray: tuple[float, float, float]) -> tuple[float, int]:
+    """Depth where the ray enters box b and the face there; (-1, 0) for a miss (slab method)."""
     enter, leave, face = 0.0, math.inf, -1
     for k in range(3):
-        d = dx if k == 0 else (dy if k == 1 else dz)
+        d, o, half = _row(view.rotation, b + 1, k, ray), view.origin[b + 1, k], view.half[b, k]
         if d == 0.0:
-            if abs(o[k]) > half[k]:
+            if abs(o) > half:
                 return -1.0, 0
             continue
-        first, last = (-half[k] - o[k]) / d, (half[k] - o[k]) / d
+        first, last = (-half - o) / d, (half - o) / d
         side = 2 * k
         if first > last:
             first, last = last, first
@@ -146,43 +144,21 @@ def _hit_box(o: FloatArray, dx: float, dy: float, dz: float, half: FloatArray) -
 
 @_compiled
 def _cast(
-    x: float, y: float, z: float, view: View, candidates: IntArray, count: int
+    ray: tuple[float, float, float], view: View, candidates: IntArray, count: int
 ) -> tuple[int, float]:
-    """The first surface that a camera ray meets, and the ray's length there in units of itself."""
-    length = math.sqrt(x * x + y * y + z * z)
+    """The first surface that a camera ray with z = 1 meets, and the depth there."""
     surface, t = SKY, math.inf
-    _, _, down = _turn(view.R_world_cam, x, y, z)
+    down = _row(view.rotation, 0, 2, ray)
     if down < 0.0:
-        surface, t = GROUND, -view.p_world_cam[2] / down
+        surface, t = GROUND, -view.origin[0, 2] / down
     for i in range(count):
         b = candidates[i]
-        if view.near[b] > t * length:
+        if view.near[b] > t:
             break
-        dx, dy, dz = _turn(view.rotation[b], x, y, z)
-        hit, face = _hit_box(view.origin[b], dx, dy, dz, view.half[b])
+        hit, face = _hit_box(view, b, ray)
         if 0.0 < hit < t:
             surface, t = FIRST_BOX + 6 * b + face, hit
     return surface, t
-
-
-@_compiled
-def _spans(
-    d: tuple[float, float, float],
-    e: tuple[float, float, float],
-    g: tuple[float, float, float],
-    t: float,
-    n: int,
-) -> tuple[float, float]:
-    """Metres that a pixel covers along the two axes of a plane square to axis n.
-
-    d is the ray, e and g its steps to the next pixels; ray differentials of H. Igehy, SIGGRAPH 1999.
-    """
-    p, q = (n + 1) % 3, (n + 2) % 3
-    slope_e, slope_g = e[n] / d[n], g[n] / d[n]
-    return (
-        t * max(abs(e[p] - d[p] * slope_e), abs(g[p] - d[p] * slope_g)),
-        t * max(abs(e[q] - d[q] * slope_e), abs(g[q] - d[q] * slope_g)),
-    )
 
 
 @_compiled
@@ -196,50 +172,50 @@ def _shade(
 ) -> float:
     """Grey of the surface where the camera ray meets it."""
     if surface == SKY:
-        x, y, z = _turn(view.R_world_cam, ray[0], ray[1], ray[2])
-        scale = 1.0 / (max(z, 0.0) / math.sqrt(x * x + y * y + z * z) + HORIZON)
-        norm = math.sqrt(x * x + y * y + z * z)
+        norm = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
+        scale = 1.0 / (max(_row(view.rotation, 0, 2, ray) / norm, 0.0) + HORIZON)
         pixel = scale * scale * max(abs(step_u[0]), abs(step_v[1])) / norm
-        return _texture(
-            scale * x / norm, scale * y / norm, pixel, pixel, view.look[0], view.seed[0]
-        )
-    if surface == GROUND:
-        R, o = view.R_world_cam, view.p_world_cam
-        n, look, seed, light = 2, view.look[1], view.seed[1], 1.0
-    else:
+        x = scale * _row(view.rotation, 0, 0, ray) / norm
+        y = scale * _row(view.rotation, 0, 1, ray) / norm
+        return _texture(x, y, pixel, pixel, view.look, 0, view.seed[0])
+    i, n, light = 0, 2, 1.0
+    seed = view.seed[1]
+    if surface >= FIRST_BOX:
         b, face = (surface - FIRST_BOX) // 6, (surface - FIRST_BOX) % 6
-        R, o = view.rotation[b], view.origin[b]
-        n, look, light = face // 2, view.look[b + 2], view.shade[b, face]
+        i, n, light = b + 1, face // 2, view.shade[b, face]
         seed = view.seed[b + 2] + np.uint64(face * 104729)
-    d = _turn(R, ray[0], ray[1], ray[2])
-    e = _turn(R, step_u[0], step_u[1], step_u[2])
-    g = _turn(R, step_v[0], step_v[1], step_v[2])
     p, q = (n + 1) % 3, (n + 2) % 3
-    pixel_p, pixel_q = _spans(d, e, g, t, n)
-    return light * _texture(o[p] + t * d[p], o[q] + t * d[q], pixel_p, pixel_q, look, seed)
+    R = view.rotation
+    d_n, e_n, g_n = _row(R, i, n, ray), _row(R, i, n, step_u), _row(R, i, n, step_v)
+    d_p, e_p, g_p = _row(R, i, p, ray), _row(R, i, p, step_u), _row(R, i, p, step_v)
+    d_q, e_q, g_q = _row(R, i, q, ray), _row(R, i, q, step_u), _row(R, i, q, step_v)
+    along_u, along_v = e_n / d_n, g_n / d_n  # ray differentials (H. Igehy, SIGGRAPH 1999)
+    pixel_p = t * max(abs(e_p - d_p * along_u), abs(g_p - d_p * along_v))
+    pixel_q = t * max(abs(e_q - d_q * along_u), abs(g_q - d_q * along_v))
+    at_p, at_q = view.origin[i, p] + t * d_p, view.origin[i, q] + t * d_q
+    return light * _texture(at_p, at_q, pixel_p, pixel_q, view.look, i + 1, seed)
 
 
 @_compiled
 def _candidates(
     rays: FloatArray, v0: int, v1: int, u0: int, u1: int, view: View, out: IntArray
 ) -> int:
-    """Boxes whose cones touch that of a tile of the image, in their order; their count."""
-    c = rays[(v0 + v1) // 2, (u0 + u1) // 2]
-    norm = math.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2)
-    reach = 1.0
+    """Boxes whose bounds touch those of a tile of the image, in their order; their count."""
+    x0 = y0 = math.inf
+    x1 = y1 = -math.inf
     for v in (v0, v1 - 1):
         for u in (u0, u1 - 1):
-            r = rays[v, u]
-            cosine = (r[0] * c[0] + r[1] * c[1] + r[2] * c[2]) / (
-                norm * math.sqrt(r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
-            )
-            reach = min(reach, cosine) if cosine == cosine else -1.0
-    angle = math.acos(max(reach, -1.0)) * (1.0 + _PIXEL_SLACK / _TILE)
+            x, y = rays[v, u, 0], rays[v, u, 1]
+            if math.isnan(x):  # a tile that the lens sees in part only: every box may be in it
+                x0, x1, y0, y1 = -math.inf, math.inf, -math.inf, math.inf
+            x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+    slack_x = _SLACK * (x1 - x0) + _LEAST_SLACK
+    slack_y = _SLACK * (y1 - y0) + _LEAST_SLACK
     count = 0
     for b in range(len(view.near)):
-        a = view.axis[b]
-        cosine = (a[0] * c[0] + a[1] * c[1] + a[2] * c[2]) / norm
-        if not math.acos(min(max(cosine, -1.0), 1.0)) > angle + view.spread[b]:
+        left, top, right, bottom = view.bounds[b]
+        apart = left > x1 + slack_x or right < x0 - slack_x
+        if not (apart or top > y1 + slack_y or bottom < y0 - slack_y):
             out[count] = b
             count += 1
     return count
@@ -276,11 +252,9 @@ def _refine(
     e, g = _step(rays, v, u, 0, 1), _step(rays, v, u, 1, 0)
     total = 0.0
     for du, dv in SAMPLES:
-        x = r[0] + du * e[0] + dv * g[0]
-        y = r[1] + du * e[1] + dv * g[1]
-        z = r[2] + du * e[2] + dv * g[2]
-        surface, t = _cast(x, y, z, view, candidates, count)
-        total += _shade((x, y, z), e, g, surface, t, view)
+        ray = (r[0] + du * e[0] + dv * g[0], r[1] + du * e[1] + dv * g[1], 1.0)
+        surface, t = _cast(ray, view, candidates, count)
+        total += _shade(ray, e, g, surface, t, view)
     return total / len(SAMPLES)
 
 
@@ -303,12 +277,13 @@ def render_view(
                 for v in range(v0, v1):
                     for u in range(u0, u1):
                         r = rays[v, u]
-                        if r[0] != r[0]:
+                        if math.isnan(r[0]):
                             grey[v, u], surface[v, u], depth[v, u] = 0.0, SKY, np.nan
                         elif pass_number == 0:
-                            s, t = _cast(r[0], r[1], r[2], view, boxes, count)
+                            ray = (r[0], r[1], r[2])
+                            s, t = _cast(ray, view, boxes, count)
                             surface[v, u], depth[v, u] = s, t
                             e, g = _step(rays, v, u, 0, 1), _step(rays, v, u, 1, 0)
-                            grey[v, u] = _shade((r[0], r[1], r[2]), e, g, s, t, view)
+                            grey[v, u] = _shade(ray, e, g, s, t, view)
                         elif _on_edge(surface, v, u):
                             grey[v, u] = _refine(rays, v, u, view, boxes, count)

@@ -96,7 +96,7 @@ def _knots(origin_ns: int, duration_s: float) -> tuple[IntArray, FloatArray]:
     """Knot times (N,) in ns, and the same in seconds since `origin_ns`."""
     count = int(np.ceil((duration_s + 2.0 * MARGIN_S) / _KNOT_STEP_S)) + 1
     since_ns = np.round(1e9 * (_KNOT_STEP_S * np.arange(count) - MARGIN_S)).astype(np.int64)
-    return origin_ns + since_ns, 1e-9 * since_ns
+    return origin_ns + since_ns, np.asarray(1e-9 * since_ns)
 
 
 def _vibration(seconds: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 
 _ROAD_GRID_M = 0.25
 
@@ -50,12 +50,12 @@ class SmoothSteps:
         after = np.maximum(np.asarray(x) - self.knots[-1], 0.0) * self.values[-1]
         return np.asarray(start[i] + width[i] * part + before + after)
 
-    def _locate(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _locate(self, x: FloatArray) -> tuple[IntArray, FloatArray]:
         """Index of the knot before x, the last one included, and the share of the way on."""
         clipped = np.clip(x, self.knots[0], self.knots[-1])
         i = np.searchsorted(self.knots, clipped, side="right") - 1
         width = np.append(np.diff(self.knots), 1.0)
-        return i, (clipped - self.knots[i]) / width[i]
+        return i.astype(np.int64), np.asarray((clipped - self.knots[i]) / width[i])
 
     def _rise(self) -> FloatArray:
         return np.append(np.diff(self.values), 0.0)

@@ -1,8 +1,9 @@
 """Stereo pictures of a scene, with depth and object ids as truth, through any lens model."""
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -19,6 +20,9 @@ _AMBIENT = 0.72
 _FACE_NORMALS = np.array(
     [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], dtype=np.float64
 )
+_NEAR_M = 0.05
+_CORNER_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
+_EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,17 +85,23 @@ def render_stereo(
     noise_grey: float,
     rng: np.random.Generator,
 ) -> Iterator[RenderedFrame]:
-    """Stereo frames along T_world_imu(t) at camera times (N,); both views at once, two threads."""
+    """Stereo frames along T_world_imu(t) at camera times (N,), rendered ahead in two threads."""
     rays = [camera_rays(camera) for camera in rig.cameras]
     mounts = (rig.T_imu_cam0, rig.T_imu_cam1)
     with ThreadPoolExecutor(max_workers=2) as pool:
-        for time_ns in (int(t) for t in timestamp_ns):
+
+        def start(time_ns: int) -> list[Future[Picture]]:
             T_world_imu = path.pose(time_ns)
-            jobs = [
+            return [
                 pool.submit(render_picture, scene, r, T_world_imu @ T_imu_cam, time_ns)
                 for r, T_imu_cam in zip(rays, mounts, strict=True)
             ]
-            left, right = (job.result() for job in jobs)
+
+        times = [int(t) for t in timestamp_ns]
+        ahead = start(times[0]) if times else []
+        for i, time_ns in enumerate(times):
+            left, right = (job.result() for job in ahead)
+            ahead = start(times[i + 1]) if i + 1 < len(times) else []
             pair = StereoFrame(
                 time_ns, expose(left, noise_grey, rng), expose(right, noise_grey, rng)
             )
@@ -103,32 +113,45 @@ def _view(scene: Scene, boxes: list[Box], T_world_cam: FloatArray) -> tuple[kern
     T_world_box = np.array([box.T_body_box for box in boxes]).reshape(-1, 4, 4)
     half = 0.5 * np.array([box.size for box in boxes]).reshape(-1, 3)
     T_box_cam = se3.inverse(T_world_box) @ T_world_cam
-    center = se3.inverse(T_box_cam)[:, :3, 3]
-    distance = np.linalg.norm(center, axis=-1)
-    radius = np.linalg.norm(half, axis=-1)
-    near = np.maximum(distance - radius, 0.0)
-    inside = distance <= radius
-    spread = np.where(
-        inside, np.pi, np.arcsin(np.where(inside, 0.0, radius / np.maximum(distance, 1e-9)))
-    )
+    bounds, near = _outlines(se3.inverse(T_box_cam), half)
     normals = np.einsum("bij,fj->bfi", T_world_box[:, :3, :3], _FACE_NORMALS)
     light = np.maximum(normals @ (scene.sun / np.linalg.norm(scene.sun)), 0.0)
     order = np.argsort(near, kind="stable")
+    order = order[np.isfinite(near[order])]
     textures = [scene.sky, scene.ground, *(boxes[i].texture for i in order)]
     view = kernel.View(
-        R_world_cam=np.ascontiguousarray(T_world_cam[:3, :3]),
-        p_world_cam=np.ascontiguousarray(T_world_cam[:3, 3]),
-        rotation=np.ascontiguousarray(T_box_cam[order, :3, :3]),
-        origin=np.ascontiguousarray(T_box_cam[order, :3, 3]),
+        rotation=np.concatenate([T_world_cam[None, :3, :3], T_box_cam[order, :3, :3]]),
+        origin=np.concatenate([T_world_cam[None, :3, 3], T_box_cam[order, :3, 3]]),
         half=half[order],
-        axis=(center / np.maximum(distance, 1e-9)[:, None])[order],
-        spread=spread[order],
+        bounds=bounds[order],
         near=near[order],
         shade=(_AMBIENT + (1.0 - _AMBIENT) * light)[order],
         look=np.array([_look(texture) for texture in textures]),
         seed=np.array([texture.seed for texture in textures], dtype=np.uint64),
     )
     return view, order
+
+
+def _outlines(T_cam_box: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bounds (B, 4) in the plane z = 1 and least depths (B,) of what is before the camera.
+
+    The part of a box beyond the near plane is convex: its corners are the box's own there and those
+    where edges pass the plane. Depth is infinite for a box wholly behind it.
+    """
+    corners = se3.apply(T_cam_box[:, None], half[:, None] * _CORNER_SIGNS)
+    start, end = corners[:, _EDGES[:, 0]], corners[:, _EDGES[:, 1]]
+    drop = end[..., 2] - start[..., 2]
+    share = (_NEAR_M - start[..., 2]) / np.where(drop == 0.0, np.inf, drop)
+    cut = start + share[..., None] * (end - start)
+    cut[..., 2] = _NEAR_M
+    points = np.concatenate([corners, cut], axis=1)
+    passes = (drop != 0.0) & (share >= 0.0) & (share <= 1.0)
+    valid = np.concatenate([corners[..., 2] >= _NEAR_M, passes], axis=1)
+    xy = points[..., :2] / np.where(valid, points[..., 2], 1.0)[..., None]
+    least = np.where(valid[..., None], xy, np.inf).min(axis=1)
+    greatest = np.where(valid[..., None], xy, -np.inf).max(axis=1)
+    near = np.where(valid, points[..., 2], np.inf).min(axis=1)
+    return np.concatenate([least, greatest], axis=-1), near
 
 
 def _look(texture: Texture) -> tuple[float, float, float, float]:

@@ -67,7 +67,7 @@ def demo_simulation(seed: int = 0, duration_s: float = 8.0, rate_hz: float = 10.
     line the road.
     """
     rng = np.random.default_rng(seed)
-    road = Road(SmoothSteps.make((0.0, 0.0), (10.0, 0.0), (18.0, 0.018), (60.0, 0.018)), 160.0)
+    road = Road(SmoothSteps.make((0.0, 0.0), (10.0, 0.0), (20.0, 0.012), (60.0, 0.012)), 160.0)
     speed = SmoothSteps.make((1.5, 0.0), (3.6, 6.5), (4.4, 6.5), (6.0, 0.0), (6.7, 0.0), (9.0, 6.0))
     T_vehicle_imu = se3.make(np.eye(3), np.array([-0.07, 0.0, 1.7]))
     path = drive_path(
@@ -102,15 +102,15 @@ def _demo_traffic(road: Road, duration_s: float) -> tuple[Mover, ...]:
         return Mover(number, "car", _CAR, car_boxes(_CAR, _paint(grey, 100 * number)), path)
 
     lead = SmoothSteps.make((1.0, 0.0), (3.2, 7.0), (4.5, 7.0), (6.0, 1.5), (8.0, 6.5))
-    at, yaw = road.at(np.array(37.5), -5.0)
+    at, yaw = road.at(np.array(32.0), -4.3)
     walker = straight_path(
         (float(at[0]), float(at[1])), float(yaw) + 0.5 * np.pi,
-        SmoothSteps.make((3.9, 0.0), (4.4, 1.5)), ORIGIN_NS, duration_s,
+        SmoothSteps.make((3.7, 0.0), (4.2, 1.5)), ORIGIN_NS, duration_s,
     )  # fmt: skip
     return (
         car(1, 165.0, lead, 19.0, False),
         car(2, 90.0, SmoothSteps.make((0.0, 7.0)), 62.0, True),
-        car(3, 140.0, SmoothSteps.make((0.0, 8.0)), 105.0, True),
+        car(3, 140.0, SmoothSteps.make((0.0, 8.0)), 85.0, True),
         Mover(4, "pedestrian", _WALKER, walker_boxes(_WALKER, _paint(150.0, 400, 0.3)), walker),
     )
 
