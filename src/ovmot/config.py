@@ -48,7 +48,7 @@ class TrackerSettings(_Section):
     """Side of the image cells over which corners are spread evenly."""
     equalization: Literal["histogram", "clahe", "none"] = "histogram"
     """Contrast correction before matching: whole-image histogram, local (CLAHE), or none."""
-    klt_window_px: int = Field(15, ge=5, le=51)
+    klt_window_px: int = Field(11, ge=5, le=51)
     """Side of the patch that optical flow compares."""
     klt_levels: int = Field(4, ge=1, le=8)
     """Levels of the image pyramid."""
@@ -167,7 +167,7 @@ class SplitSettings(_Section):
     """Covariance test: probability that a static point is called dynamic in one comparison."""
     forgiven_speed_mps: float = Field(0.15, ge=0.0)
     """Covariance test: standard deviation of the drift forgiven to points at rest."""
-    pixel_sigma: float = Field(0.3, gt=0.0)
+    pixel_sigma: float = Field(0.4, gt=0.0)
     """Covariance test: standard deviation of a stereo point's pixels."""
     drift_per_flow: float = Field(0.01, ge=0.0)
     """Covariance test: further standard deviation, as a share of the way through the image."""

@@ -59,11 +59,17 @@ def plane_sigma(rig: StereoRig, sigma_px: float) -> FloatArray:
 
 
 def compare(
-    history: StereoHistory, window: PoseWindow, rig: StereoRig, sigma_px: float
+    history: StereoHistory,
+    window: PoseWindow,
+    rig: StereoRig,
+    sigma_px: float,
+    drift_per_flow: float,
 ) -> Comparison:
     """Carry the earlier points into the present camera and compare, with covariances.
 
-    C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now.
+    C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now, which
+    holds a part that grows with the way the point went through the image (`drift_per_flow` times
+    it): a followed patch slides as its view changes, and lens models are not exact.
     """
     sigma = plane_sigma(rig, sigma_px)
     T_c1_c0 = rig.T_cam1_cam0
@@ -79,7 +85,9 @@ def compare(
     C = C + _ego_covariance(history.clone_index, p_then, window, rig)
 
     seen, J = project_stereo(predicted, T_c1_c0)
-    S = J @ C @ np.swapaxes(J, -1, -2) + np.diag(sigma**2)
+    flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
+    drift = (drift_per_flow * flow)[..., None, None] ** 2 * np.eye(4)
+    S = J @ C @ np.swapaxes(J, -1, -2) + np.diag(sigma**2) + drift
     return Comparison(history.span_s, predicted, history.now - seen, J, S)
 
 

@@ -1,6 +1,6 @@
 """Does a point move? The covariance-scaled test and the fixed thresholds.
 
-Both take a `Comparison` and answer per feature; neither knows of tracks or images.
+Both take the `Evidence` of a frame and answer per feature; neither knows of tracks or images.
 """
 
 from collections.abc import Callable
@@ -13,70 +13,110 @@ from ovmot.config import SplitSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import inverse_3x3
 from ovmot.objects.comparison import Comparison
+from ovmot.objects.support import neighbours_with_same_velocity
 
 _FORGIVEN_ACCEL = 3.0  # m/s²: what a road user's motion may depart from constant velocity
+_FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
+_WEAK_PROBABILITY = 0.99  # of rest, for a point whose neighbours are seen to move
+_MIN_NEIGHBOURS = 1  # that a moving point must have
+_MIN_STRONG_NEIGHBOURS = 2  # that make a weak case a moving point
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What is known of N points: the comparisons, positions now (N, 3) in the left camera with
+    covariance (N, 3, 3), and over the last interval the weighted distance (N,) in metres and the
+    reprojection error (N,) in pixels."""
+
+    comparison: Comparison
+    p_cam0: FloatArray
+    cov_cam0: FloatArray
+    distance_m: FloatArray
+    reprojection_px: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Per feature (N,): tested at all, moves, or is neither at rest nor in any steady motion."""
+    """Per feature (N,): tested at all, moves, or is neither clearly at rest nor in motion."""
 
     tested: BoolArray
     moving: BoolArray
-    erratic: BoolArray
+    unclear: BoolArray
 
 
-MotionTest = Callable[[Comparison, FloatArray, FloatArray, SplitSettings], Verdict]
+@dataclass(frozen=True, slots=True)
+class RestTest:
+    """Of N points: the largest squared distance from rest over the earlier rows (N,), the number
+    of rows compared (N,), one velocity (N, 3) in m/s in the camera's axes that fits them all, its
+    covariance (N, 3, 3), and whether it explains what was seen (N,)."""
+
+    distance: FloatArray
+    rows: FloatArray
+    velocity: FloatArray
+    covariance: FloatArray
+    explained: BoolArray
 
 
-def covariance_test(
-    comparison: Comparison, distance_m: FloatArray, reprojection_px: FloatArray,
-    settings: SplitSettings,
-) -> Verdict:  # fmt: skip
-    """Chi-squared test of rest over all earlier rows, then of one constant velocity.
+MotionTest = Callable[[Evidence, SplitSettings], Verdict]
 
-    Under rest r ~ N(0, S + J Jᵀ (s Δt)²), where s forgives slow drifts of the ego motion. A point
-    that fails in any row moves, if a single velocity v (least squares over the rows) explains all
-    of them; if none does, its track is erratic: a wrong match rather than a motion.
+
+def covariance_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
+    """Chi-squared test of rest, then of one common velocity with the neighbours.
+
+    A point moves when rest is out of the question, a single velocity explains all its earlier
+    positions, and a neighbour moves likewise; or when rest is unlikely and two neighbours surely
+    move likewise. Where rest is out of the question without that, a wrong match is as likely as a
+    motion: unclear.
+    """
+    rest = examine_rest(evidence.comparison, settings)
+    tested = rest.rows > 0
+    impossible = tested & (rest.distance > chi2.ppf(1.0 - settings.false_alarm, 4))
+    unlikely = tested & (rest.distance > chi2.ppf(_WEAK_PROBABILITY, 4))
+    steady = rest.explained & (rest.rows >= 2)
+    strong, weak = impossible & steady, unlikely & steady
+    alike = neighbours_with_same_velocity(
+        evidence.p_cam0, evidence.cov_cam0, rest.velocity, rest.covariance, weak
+    )
+    supported = alike.sum(1) >= _MIN_NEIGHBOURS
+    carried = (alike & strong[None, :]).sum(1) >= _MIN_STRONG_NEIGHBOURS
+    moving = (strong & supported) | (weak & carried)
+    return Verdict(tested, moving, impossible & ~moving)
+
+
+def examine_rest(comparison: Comparison, settings: SplitSettings) -> RestTest:
+    """Squared distances from rest, and the velocity that fits all earlier rows best.
+
+    Under rest r ~ N(0, S + J Jᵀ (s Δt)²), where s forgives slow drifts of the ego motion; under
+    motion r = J v Δt with v by weighted least squares, a change of velocity forgiven.
     """
     tested = comparison.tested
     r = np.where(tested[..., None], comparison.residual, 0.0)
     J = np.where(tested[..., None, None], comparison.J, 0.0)
+    S = np.where(tested[..., None, None], comparison.S, np.eye(4))
     JJt = J @ np.swapaxes(J, -1, -2)
     span = comparison.span_s[:, None]
-    eye = np.eye(4)
-    S = np.where(tested[..., None, None], comparison.S, eye)
     S_rest = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
-    d_rest = _quadratic(S_rest, r)
-    bound = chi2.ppf(1.0 - settings.false_alarm, 4)
-    fails = tested & (d_rest > bound)
+    distance = np.where(tested, _quadratic(S_rest, r), 0.0).max(0)
 
     S_fit = S + JJt * ((0.5 * _FORGIVEN_ACCEL * span**2) ** 2)[..., None, None]
     W = np.linalg.inv(S_fit)
     Jv = J * span[..., None, None]
     JtW = np.swapaxes(Jv, -1, -2) @ W
-    N = (JtW @ Jv).sum(0) + 1e-6 * np.eye(3)
-    b = (JtW @ r[..., None]).sum(0)
-    v = inverse_3x3(N) @ b
+    covariance = inverse_3x3((JtW @ Jv).sum(0) + 1e-6 * np.eye(3))
+    v = covariance @ (JtW @ r[..., None]).sum(0)
     left = r - (Jv @ v)[..., 0]
-    cost = np.where(tested, np.einsum("lni,lnij,lnj->ln", left, W, left), 0.0).sum(0)
+    cost = np.einsum("lni,lnij,lnj->n", left, W, left)
     rows = tested.sum(0)
-    dof = np.maximum(4 * rows - 3, 1)
-    explained = cost < 2.0 * chi2.ppf(0.999, dof)
-    any_fails = fails.any(0)
-    moving = any_fails & explained & (rows >= 2)
-    return Verdict(rows > 0, moving, any_fails & ~moving)
+    explained = cost < _FIT_SLACK * chi2.ppf(0.999, np.maximum(4 * rows - 3, 1))
+    return RestTest(distance, rows, v[..., 0], covariance, explained)
 
 
-def fixed_test(
-    comparison: Comparison, distance_m: FloatArray, reprojection_px: FloatArray,
-    settings: SplitSettings,
-) -> Verdict:  # fmt: skip
+def fixed_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
     """The original's thresholds on the last interval: weighted 3-D distance and reprojection."""
-    tested = comparison.tested[-1]
+    tested = evidence.comparison.tested[-1]
     with np.errstate(invalid="ignore"):
-        far = distance_m > settings.distance_threshold_m
-        off = reprojection_px > settings.reprojection_threshold_px
+        far = evidence.distance_m > settings.distance_threshold_m
+        off = evidence.reprojection_px > settings.reprojection_threshold_px
     moves = far | off if settings.combine == "any" else far & off
     return Verdict(tested, tested & moves, np.zeros_like(tested))
 

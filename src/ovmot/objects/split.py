@@ -13,11 +13,11 @@ from ovmot.config import SplitSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
 from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
-from ovmot.objects.motion_tests import MOTION_TESTS, Verdict
+from ovmot.objects.motion_tests import MOTION_TESTS, Evidence, Verdict
 from ovmot.tracks import TrackTable
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
 
-LOOK_BACK_S = (1.0, 0.6, 0.3)  # and always the last frame
+LOOK_BACK_S = (2.0, 1.0, 0.6, 0.3)  # and always the last frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,23 +41,26 @@ def split_points(
     """
     column = _columns_of(table, seen.feature_id)
     p_cam0 = triangulate_stereo(seen.normalized, rig.T_cam1_cam0)
+    sigma = plane_sigma(rig, settings.pixel_sigma)
+    cov_cam0 = stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma)
     rows = _look_back_rows(table, window) if settings.enabled else np.empty(0, dtype=np.int64)
     if len(rows) == 0:
-        return _unjudged(seen, p_cam0, rig, settings)
+        return _unjudged(seen, p_cam0, cov_cam0, settings)
     history = StereoHistory(
         then=table.normalized[rows][:, column],
         now=seen.normalized,
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=(seen.timestamp_ns - table.frame_ns[rows]) * 1e-9,
     )
-    comparison = compare(history, window, rig, settings.pixel_sigma)
+    comparison = compare(history, window, rig, settings.pixel_sigma, settings.drift_per_flow)
     comparison = _within_range(comparison, p_cam0, settings.max_range_m)
     distance, reprojection = last_interval(comparison, p_cam0, seen, rig, settings)
-    verdict = MOTION_TESTS[settings.test](comparison, distance, reprojection, settings)
+    evidence = Evidence(comparison, p_cam0, cov_cam0, distance, reprojection)
+    verdict = MOTION_TESTS[settings.test](evidence, settings)
     if settings.candidates == "ransac":
         verdict = _only_rejected(verdict, seen.two_view_inlier)
     label = np.full(len(seen), int(PointLabel.UNKNOWN), dtype=np.int64)
-    label[verdict.tested & ~verdict.erratic] = int(PointLabel.STATIC)
+    label[verdict.tested & ~verdict.unclear] = int(PointLabel.STATIC)
     label[verdict.moving] = int(PointLabel.DYNAMIC)
     points = ScenePoints(
         feature_id=seen.feature_id,
@@ -72,7 +75,7 @@ def split_points(
         reprojection_px=reprojection,
         two_view_inlier=seen.two_view_inlier,
     )
-    suspect = verdict.moving | verdict.erratic | (~seen.two_view_inlier & ~verdict.tested)
+    suspect = verdict.moving | verdict.unclear | (~seen.two_view_inlier & ~verdict.tested)
     return Split(points, suspect)
 
 
@@ -133,22 +136,21 @@ def _within_range(comparison: Comparison, p_cam0: FloatArray, max_range: float) 
 
 def _only_rejected(verdict: Verdict, inlier: BoolArray) -> Verdict:
     """The original's candidates: a point that the two-view test accepted is static."""
-    return Verdict(verdict.tested, verdict.moving & ~inlier, verdict.erratic & ~inlier)
+    return Verdict(verdict.tested, verdict.moving & ~inlier, verdict.unclear & ~inlier)
 
 
 def _unjudged(
-    seen: FrontendFrame, p_cam0: FloatArray, rig: StereoRig, settings: SplitSettings
+    seen: FrontendFrame, p_cam0: FloatArray, cov_cam0: FloatArray, settings: SplitSettings
 ) -> Split:
     """All points unknown (nothing to compare with), or static where the split is switched off."""
     label = PointLabel.UNKNOWN if settings.enabled else PointLabel.STATIC
     n = len(seen)
     nothing = np.full((n, 2), np.nan)
-    sigma = plane_sigma(rig, settings.pixel_sigma)
     points = ScenePoints(
         feature_id=seen.feature_id,
         pixels=seen.pixels,
         p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
+        cov_cam0=cov_cam0,
         label=np.full(n, int(label), dtype=np.int64),
         track_id=np.full(n, -1, dtype=np.int64),
         previous=nothing,
