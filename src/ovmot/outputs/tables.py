@@ -185,4 +185,5 @@ def _position_quaternion(T_a_b: FloatArray) -> tuple[float, ...]:
     """x, y, z, qx, qy, qz, qw (w >= 0) of a pose (4, 4); NaN for one that is not known."""
     if not np.all(np.isfinite(T_a_b)):
         return (float("nan"),) * 7
-    return (*T_a_b[:3, 3], *so3.to_quaternion(T_a_b[:3, :3]))
+    quaternion = so3.to_quaternion(T_a_b[:3, :3]) + 0.0  # turns -0 into 0
+    return (*T_a_b[:3, 3], *quaternion)

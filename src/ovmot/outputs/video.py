@@ -57,6 +57,7 @@ class OverlayVideo:
         self._queue: queue.Queue[FrameResult | None] = queue.Queue(_WAITING_FRAMES)
         self._failure: Exception | None = None
         self._closed = False
+        self._ended = False  # the worker has been told that nothing more comes
         self._thread = threading.Thread(target=self._work, name="overlay", daemon=True)
         self._thread.start()
 
@@ -91,16 +92,20 @@ class OverlayVideo:
             )
         except Exception as error:
             self._failure = error
-        if self._failure is not None:
-            while self._queue.get() is not None:  # so that nobody waits for a full queue
-                pass
+        while not self._ended:  # after a failure, so that nobody waits for a full queue
+            self._next()
+
+    def _next(self) -> FrameResult | None:
+        result = self._queue.get()
+        self._ended = result is None
+        return result
 
     def _encode_all(self) -> None:
         """One frame is held back: the time to the second one is the stream's nominal rate."""
-        first = self._queue.get()
+        first = self._next()
         if first is None:
             return
-        second = self._queue.get()
+        second = self._next()
         gap_ns = second.timestamp_ns - first.timestamp_ns if second else _NS_PER_S // 10
         picture = compose(first, self._rig)
         encoder = _Encoder(self._path, picture.shape[1], picture.shape[0], gap_ns)
@@ -110,7 +115,7 @@ class OverlayVideo:
             while following is not None:
                 elapsed_ns = following.timestamp_ns - first.timestamp_ns
                 encoder.encode(compose(following, self._rig), elapsed_ns)
-                following = self._queue.get()
+                following = self._next()
         finally:
             encoder.close()
 
