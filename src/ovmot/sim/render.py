@@ -61,7 +61,7 @@ def render_picture(
 ) -> Picture:
     """What a camera with these rays (H, W, 3) sees of the scene at one time, without noise."""
     boxes, object_id = scene.placed_boxes(timestamp_ns)
-    view, order = _view(scene, boxes, T_world_cam)
+    view, order = scene_view(scene, boxes, T_world_cam)
     grey = np.empty(rays.shape[:2], dtype=np.float32)
     depth = np.empty_like(grey)
     surface = np.empty(rays.shape[:2], dtype=np.int32)
@@ -108,7 +108,9 @@ def render_stereo(
             yield RenderedFrame(pair, left, right)
 
 
-def _view(scene: Scene, boxes: list[Box], T_world_cam: FloatArray) -> tuple[kernel.View, IntArray]:
+def scene_view(
+    scene: Scene, boxes: list[Box], T_world_cam: FloatArray
+) -> tuple[kernel.View, IntArray]:
     """The kernel's arrays, boxes ordered by nearness, and that order (B,)."""
     T_world_box = np.array([box.T_body_box for box in boxes]).reshape(-1, 4, 4)
     half = 0.5 * np.array([box.size for box in boxes]).reshape(-1, 3)
