@@ -20,13 +20,13 @@ def cell(ix: IntArray, iy: IntArray, seed: np.ndarray) -> FloatArray:
 
 
 def texture(uv: FloatArray, pixel: FloatArray, look: FloatArray, seed: np.ndarray) -> FloatArray:
-    """Grey (N,) of surface points (N, 2) whose pixels cover (N, 2) metres; look (N, 4)."""
+    """Grey (N,) of surface points (N, 2) whose pixels cover (N, 2) metres; look (N, 5)."""
     grey = look[:, 0].copy()
-    for octave in range(kernel.OCTAVES):
+    for octave in range(int(look[:, 4].max())):
         size = look[:, 2] / 2.0**octave
         width = kernel.EDGE_PIXELS * pixel / size[:, None]
-        fade = np.clip(2.0 - 2.0 * width.max(axis=1), 0.0, 1.0)
-        soft = np.clip(np.maximum(width, look[:, 3:]), kernel.SHARPEST, 1.0)
+        fade = np.clip(2.0 - 2.0 * width.max(axis=1), 0.0, 1.0) * (octave < look[:, 4])
+        soft = np.clip(np.maximum(width, look[:, 3:4]), kernel.SHARPEST, 1.0)
         x = uv / size[:, None] + kernel.OCTAVE_SHIFT * octave
         i = np.floor(x).astype(np.int64)
         s = np.clip((x - i - 0.5) / soft + 0.5, 0.0, 1.0)
@@ -121,7 +121,7 @@ def crowd(seed: int) -> Scene:
         )
         for _ in range(40)
     ]
-    ground, sky = Texture(100.0, 30.0, 3.0, 5, 0.2), Texture(200.0, 10.0, 1.0, 6, 1.0)
+    ground, sky = Texture(100.0, 30.0, 3.0, 5, 0.2), Texture(200.0, 10.0, 1.0, 6, 1.0, 3)
     return Scene(tuple(boxes), (), ground, sky, np.array([0.3, -0.5, 0.8]))
 
 

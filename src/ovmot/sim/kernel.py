@@ -14,7 +14,6 @@ from numba import njit
 from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
 
 SKY, GROUND, FIRST_BOX = 0, 1, 2
-OCTAVES = 6
 PERSISTENCE = 0.75
 OCTAVE_SHIFT = 0.37
 EDGE_PIXELS = 1.3
@@ -41,8 +40,8 @@ class View(NamedTuple):
     `rotation` (B+1, 3, 3) turns camera directions into the frames of the world and of each box, and
     `origin` (B+1, 3) is the camera there; `half` (B, 3) half the sides. `bounds` (B, 4): least x,
     y, greatest x, y of the box in the plane z = 1; `near` (B,): its least depth, m. `shade` (B, 6):
-    light on the faces -x, +x, -y, +y, -z, +z. `look` (B+2, 4): mean, contrast, cell, softness, and
-    `seed` (B+2,) uint64, of sky, ground, boxes.
+    light on the faces -x, +x, -y, +y, -z, +z. Of sky, ground, boxes: `look` (B+2, 5) is mean,
+    contrast, cell, softness, octaves, and `seed` (B+2,) uint64.
     """
 
     rotation: FloatArray
@@ -97,7 +96,7 @@ def _texture(
     """
     grey, amplitude, size, softness = looks[row, 0], looks[row, 1], looks[row, 2], looks[row, 3]
     shift = 0.0
-    for octave in range(OCTAVES):
+    for octave in range(int(looks[row, 4])):
         width_u, width_v = EDGE_PIXELS * pixel_u / size, EDGE_PIXELS * pixel_v / size
         fade = min(2.0 - 2.0 * max(width_u, width_v), 1.0)
         if fade <= 0.0:

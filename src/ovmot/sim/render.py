@@ -156,5 +156,5 @@ def _outlines(T_cam_box: FloatArray, half: FloatArray) -> tuple[FloatArray, Floa
     return np.concatenate([least, greatest], axis=-1), near
 
 
-def _look(texture: Texture) -> tuple[float, float, float, float]:
-    return texture.mean, texture.contrast, texture.cell_m, texture.softness
+def _look(texture: Texture) -> tuple[float, ...]:
+    return texture.mean, texture.contrast, texture.cell_m, texture.softness, texture.octaves

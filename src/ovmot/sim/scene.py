@@ -18,7 +18,8 @@ class Texture:
     """Procedural grey: octaves of hashed value noise on a square lattice.
 
     `mean` and `contrast` in grey levels (the coarsest octave reaches ±contrast); `cell_m` is the
-    coarsest lattice; `softness` from 0, cells with sharp edges, to 1, linear slopes.
+    coarsest lattice, each next octave is half as large; `softness` from 0, cells with sharp edges,
+    to 1, linear slopes.
     """
 
     mean: float
@@ -26,6 +27,7 @@ class Texture:
     cell_m: float
     seed: int
     softness: float = 0.0
+    octaves: int = 6
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,7 +79,7 @@ def demo_simulation(seed: int = 0, duration_s: float = 8.0, rate_hz: float = 10.
         boxes=(*_facades(road, rng), *_parked_cars(road, rng), *_poles(road, rng)),
         movers=_demo_traffic(road, duration_s),
         ground=Texture(95.0, 22.0, 3.0, seed=11, softness=0.15),
-        sky=Texture(205.0, 10.0, 1.0, seed=12, softness=1.0),
+        sky=Texture(205.0, 10.0, 1.0, seed=12, softness=1.0, octaves=3),
         sun=np.array([-0.3, 0.5, 0.8]),
     )
     return Simulation(
