@@ -48,7 +48,7 @@ def solve_stereo_motion(
     """
     p_before = triangulate_stereo(before, T_cam1_cam0)
     p_now = triangulate_stereo(now, T_cam1_cam0)
-    both = np.isfinite(p_before).all(1) & np.isfinite(p_now).all(1)
+    both: BoolArray = np.isfinite(np.concatenate([p_before, p_now], axis=1)).all(axis=1)
     if both.sum() < 8:
         return None
     p, q, z = p_before[both], p_now[both], now[both]
@@ -63,7 +63,8 @@ def solve_stereo_motion(
         return None
     all_inliers = np.zeros(len(both), dtype=np.bool_)
     all_inliers[both] = inlier
-    return StereoMotion(T, np.linalg.inv(information), all_inliers)
+    covariance = np.asarray(np.linalg.inv(information), np.float64)
+    return StereoMotion(T, covariance, all_inliers)
 
 
 def _weights(
@@ -77,7 +78,7 @@ def _weights(
     """Inverse covariances (N, 4, 4) of the reprojection, at the observed present points."""
     _, J = project_stereo(q, T_c1_c0)
     S = J @ (R @ C @ R.T) @ np.swapaxes(J, -1, -2) + np.diag(sigma**2)
-    return np.linalg.inv(S)
+    return np.asarray(np.linalg.inv(S), np.float64)
 
 
 def _best_translation(

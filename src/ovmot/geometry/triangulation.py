@@ -45,7 +45,7 @@ def project_plane(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both views (..., 4) of points (..., 3) in the left camera, and their derivative (..., 4, 3)."""
+    """Both views (..., 4) of left camera points (..., 3), and their derivative (..., 4, 3)."""
     xy0, J0 = project_plane(p_cam0)
     xy1, J1 = project_plane(se3.apply(T_cam1_cam0, p_cam0))
     J = np.concatenate([J0, J1 @ T_cam1_cam0[:3, :3]], axis=-2)
@@ -71,7 +71,8 @@ def inverse_3x3(matrix: FloatArray) -> FloatArray:
     c2 = np.cross(a[..., 0, :], a[..., 1, :])
     det = (a[..., 0, :] * c0).sum(-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([c0, c1, c2], axis=-1) / det[..., None, None]
+        inverse: FloatArray = np.stack([c0, c1, c2], axis=-1) / det[..., None, None]
+    return inverse
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,8 @@ def _linear_point(xy: FloatArray, T: FloatArray, weight: FloatArray) -> FloatArr
     N = np.einsum("fvij,fvik->fjk", A, A)
     c = np.einsum("fvij,fvi->fj", A, b)
     N += 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    return (inverse_3x3(N) @ c[..., None])[..., 0]
+    p: FloatArray = (inverse_3x3(N) @ c[..., None])[..., 0]
+    return p
 
 
 def _refine_inverse_depth(

@@ -15,7 +15,8 @@ _MIN_VIEWS = 3  # left observations from different clones
 
 def own_rows(table: TrackTable, state: State) -> BoolArray:
     """Rows (T,) whose frame is itself a clone of the state: the filter's measurements."""
-    return (table.frame_ns == table.clone_ns) & np.isin(table.clone_ns, state.clones.timestamp_ns)
+    own: BoolArray = table.frame_ns == table.clone_ns
+    return own & np.isin(table.clone_ns, state.clones.timestamp_ns)
 
 
 def usable_observations(table: TrackTable, state: State) -> BoolArray:

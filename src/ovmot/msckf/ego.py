@@ -7,9 +7,9 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf import propagation
 from ovmot.msckf.correction import correct_with_features
-from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.state import FIRST_CLONE, N_IMU, TIME_OFFSET, State, drop_clone
 from ovmot.msckf.zero_velocity import is_standing, still_share, zero_velocity_update
 from ovmot.tracks import TrackTable, keep_window, share_clone

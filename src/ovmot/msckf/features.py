@@ -116,4 +116,5 @@ def chi2_gate(
     S = H @ P @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
     distance = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
     bounds = np.array([chi2_bound(max(int(d), 1)) for d in dof])
-    return (distance < multiplier * bounds) & (dof > 0)
+    passed: BoolArray = (distance < multiplier * bounds) & (dof > 0)
+    return passed

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -73,9 +74,7 @@ class FilterStart:
         if len(frames) < _MIN_MOTION_FRAMES:
             raise CannotStart(f"only {len(frames)} frames (at least {_MIN_MOTION_FRAMES})")
         stamps = [self._imu_ns(f.timestamp_ns) for f in frames]
-        pieces: list[ImuData] = [
-            imu.between(a, b) for a, b in zip(stamps, stamps[1:], strict=False)
-        ]
+        pieces: list[ImuData] = [imu.between(a, b) for a, b in pairwise(stamps)]
         return start_in_motion(
             frames,
             pieces,

@@ -4,7 +4,7 @@ import numpy as np
 
 from ovmot.config import InitializationSettings
 from ovmot.geometry import so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.msckf.state import (
     ACCEL_BIAS,
     FIRST_CLONE,
@@ -84,7 +84,7 @@ def _level(force: FloatArray) -> FloatArray:
 
 def _gravity_measurement(
     state: State, force: FloatArray, gravity: float, variance: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
     """H, columns, residual, variance of a = Rᵀ g_up + b_a; ∂(Rᵀ u)/∂θ = [Rᵀ u]x."""
     up = state.imu.R_world_imu.T @ np.array([0.0, 0.0, gravity])
     H = np.concatenate([so3.hat(up), np.eye(3)], axis=1)

@@ -42,7 +42,7 @@ _MAX_MISFIT = 4.0  # standard deviations, root mean square
 _INFLATION = 2.0  # on standard deviations: the window's images will be used again by the filter
 
 
-class CannotStart(Exception):
+class CannotStart(Exception):  # noqa: N818 - no fault of anyone: the filter waits on
     """Which test failed, with its numbers."""
 
 
@@ -209,7 +209,8 @@ def _solve_with_gravity(
         v, ba = v + step[2:5], ba + step[5:]
     r = moved - t[:, None] * v - 0.5 * (t**2)[:, None] * g - by_bias @ ba
     misfit = float(np.sqrt(np.mean((r / sigma[:, None]) ** 2)))
-    return _Fit(v, g, ba, B, np.linalg.inv(N), misfit)
+    covariance = np.asarray(np.linalg.inv(N), np.float64)
+    return _Fit(v, g, ba, B, covariance, misfit)
 
 
 def _state_at_start(

@@ -51,7 +51,8 @@ def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArra
     m, n = H.shape
     if m <= n:
         return H, residual
-    R = qr(np.column_stack([H, residual]), mode="r", overwrite_a=True, check_finite=False)[0]
+    stacked = np.column_stack([H, residual])
+    R = np.asarray(qr(stacked, mode="r", overwrite_a=True, check_finite=False)[0], np.float64)
     return R[:n, :n], R[:n, n]
 
 
