@@ -157,7 +157,7 @@ class Pipeline:
         return self._ego, split
 
     def _before(self, frame: StereoFrame, watch: Stopwatch) -> FrameResult | None:
-        """Track with the gyroscope's rotation, try to start; on success catch up with this frame."""
+        """Track by the gyroscope's rotation, try to start; on success catch up with this frame."""
         with watch.stage("match"):
             seen, matches = self._tracker.track(frame, self._rotation_before_start(frame))
         self._pending.append(seen)
@@ -213,4 +213,5 @@ def camera_motion(window: PoseWindow, rig: StereoRig) -> FloatArray:
     if len(window.timestamp_ns) < 2:
         return np.eye(4)
     T_world_cam0 = window.T_world_imu[-2:] @ rig.T_imu_cam0
-    return se3.inverse(T_world_cam0[1]) @ T_world_cam0[0]
+    T_now_before: FloatArray = se3.inverse(T_world_cam0[1]) @ T_world_cam0[0]
+    return T_now_before

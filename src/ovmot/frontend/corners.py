@@ -23,7 +23,7 @@ def detect_corners(
     keypoints = detector.detect(image)
     if not keypoints:
         return np.empty((0, 2))
-    points = cv2.KeyPoint.convert(keypoints).astype(np.float64)
+    points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
     response = np.fromiter((k.response for k in keypoints), np.float64, len(keypoints))
     height, width = image.shape
     inside = (
@@ -43,7 +43,8 @@ def _best_of_each_bin(
     points = points[order]
     bins = (points // side).astype(np.int64)
     _, first = np.unique(bins[:, 1] * (width + 1) + bins[:, 0], return_index=True)
-    return points[np.sort(first)]
+    strongest: FloatArray = points[np.sort(first)]
+    return strongest
 
 
 def _spread(

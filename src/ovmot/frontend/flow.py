@@ -56,11 +56,11 @@ def _follow_there_and_back(
     there, status, _ = cv2.calcOpticalFlowPyrLK(
         source, target, p, q, winSize=window, maxLevel=settings.klt_levels - 1, criteria=_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=_MIN_EIGENVALUE,
-    )  # type: ignore[call-overload]  # fmt: skip
+    )  # fmt: skip
     back, status_back, _ = cv2.calcOpticalFlowPyrLK(
         target, source, there, p.copy(), winSize=window, maxLevel=_BACK_LEVEL, criteria=_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=_MIN_EIGENVALUE,
-    )  # type: ignore[call-overload]  # fmt: skip
+    )  # fmt: skip
     returned = np.linalg.norm(back - p, axis=1) < _MAX_ROUND_TRIP_PX
     ok = (status.ravel() == 1) & (status_back.ravel() == 1) & returned
     return there.astype(np.float64), ok

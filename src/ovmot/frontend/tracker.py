@@ -41,7 +41,7 @@ class _LeftPoints:
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """The last frame: its left image, contrast corrected, its points, and their stereo pairs (N, 4)."""
+    """The last frame: its equalised left image, its points, and their stereo pairs (N, 4)."""
 
     left: Image
     points: _LeftPoints
@@ -133,7 +133,7 @@ class StereoTracker:
     def _match_right(
         self, left: Image, right: Image, points: _LeftPoints
     ) -> tuple[FloatArray, FloatArray, StereoMatches]:
-        """Pixels and plane coordinates (N, 4) with accepted right halves, and all that was tested."""
+        """Pixels and plane coordinates (N, 4), accepted right halves only, and all tested pairs."""
         default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)

@@ -17,7 +17,7 @@ def two_view_inliers(before: FloatArray, now: FloatArray, threshold: float) -> B
     matrix by MAGSAC++ (D. Barath et al., CVPR 2020). With fewer than 12 tracks, or when no motion
     is found, all pass: the test then knows nothing.
     """
-    ok = np.isfinite(before).all(1) & np.isfinite(now).all(1)
+    ok = np.asarray(np.isfinite(before).all(1) & np.isfinite(now).all(1))
     if ok.sum() < _MIN_POINTS:
         return ok
     _, mask = cv2.findEssentialMat(

@@ -35,7 +35,8 @@ class Comparison:
     @property
     def tested(self) -> BoolArray:
         """Which comparisons (L, N) exist."""
-        return np.isfinite(self.residual).all(-1) & np.isfinite(self.S).all((-1, -2))
+        usable = np.isfinite(self.residual).all(-1) & np.isfinite(self.S).all((-1, -2))
+        return np.asarray(usable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +97,8 @@ def _ego_covariance(
 ) -> FloatArray:
     """Covariance (L, N, 3, 3) that the two poses' errors give to the carried point, camera frame.
 
-    p_now = R_nᵀ (R_t p_t + t_t - t_n): by δθ_n: [p_now]x, by δt_n: -R_nᵀ, by δθ_t: -R_nᵀ R_t [p_t]x,
-    by δt_t: R_nᵀ.
+    p_now = R_nᵀ (R_t p_t + t_t - t_n): by δθ_n: [p_now]x, by δt_n: -R_nᵀ,
+    by δθ_t: -R_nᵀ R_t [p_t]x, by δt_t: R_nᵀ.
     """
     n_rows, n_features = p_then_cam0.shape[:2]
     T_now, T_then = window.T_world_imu[-1], window.T_world_imu[clone_index]
@@ -112,10 +113,12 @@ def _ego_covariance(
     last = len(window.timestamp_ns) - 1
     P = np.stack([_pair_covariance(window.covariance, last, int(k)) for k in clone_index])
     J = rig.T_imu_cam0[:3, :3].T @ J
-    return J @ P[:, None] @ np.swapaxes(J, -1, -2)
+    out: FloatArray = J @ P[:, None] @ np.swapaxes(J, -1, -2)
+    return out
 
 
 def _pair_covariance(covariance: FloatArray, a: int, b: int) -> FloatArray:
     """Joint covariance (12, 12) of clones a and b; a clone compared with itself adds nothing."""
     index = np.r_[6 * a : 6 * a + 6, 6 * b : 6 * b + 6]
-    return covariance[np.ix_(index, index)]
+    pair: FloatArray = covariance[np.ix_(index, index)]
+    return pair

@@ -50,7 +50,7 @@ def split_points(
         then=table.normalized[rows][:, column],
         now=seen.normalized,
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
-        span_s=(seen.timestamp_ns - table.frame_ns[rows]) * 1e-9,
+        span_s=np.asarray((seen.timestamp_ns - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.drift_per_flow)
     comparison = _within_range(comparison, p_cam0, settings.max_range_m)

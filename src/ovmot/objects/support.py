@@ -34,7 +34,8 @@ def neighbours_with_same_velocity(
     reach_z = _RADIUS_M + 2.0 * sigma_z
     scaled = np.column_stack([p[:, :2] / _RADIUS_M, p[:, 2] / reach_z])
     k = min(_MAX_NEIGHBOURS + 1, len(index))
-    apart, other = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=1.0)
+    found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=1.0)
+    apart, other = np.asarray(found[0]), np.asarray(found[1])
     a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
     b = other[:, 1:][a, slot]
     dv = velocity[index[a]] - velocity[index[b]]
