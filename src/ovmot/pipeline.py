@@ -8,7 +8,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
-from ovmot.errors import DatasetError
+from ovmot.errors import DatasetError, OvmotError
 from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -99,7 +99,7 @@ class Pipeline:
         """Take one IMU sample or stereo frame; give the results that it made possible.
 
         A frame is held until the IMU covers its time. Raises `DatasetError` where the stamps of a
-        kind do not rise.
+        kind do not rise, `OvmotError` with the frame's stamp where the numbers break down.
         """
         if isinstance(event, ImuSample):
             self._imu.append(event)
@@ -108,7 +108,7 @@ class Pipeline:
             self._waiting.append(event)
         results: list[FrameResult] = []
         while self._waiting and self._is_covered(self._waiting[0].timestamp_ns):
-            result = self.step(self._waiting.popleft())
+            result = self._step_or_say(self._waiting.popleft())
             if result is not None:
                 results.append(result)
         return results
@@ -192,6 +192,14 @@ class Pipeline:
         R_cam_imu = self._rig.T_imu_cam0[:3, :3].T
         T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
         return T
+
+    def _step_or_say(self, frame: StereoFrame) -> FrameResult | None:
+        """A step whose numerical failure (a matrix not positive, a NaN) names the frame."""
+        try:
+            return self.step(frame)
+        except (ValueError, ArithmeticError) as error:  # LinAlgError is a ValueError
+            stamp = frame.timestamp_ns
+            raise OvmotError(f"the estimate broke down at frame {stamp} ns: {error}") from error
 
     def _check_order(self, frame: StereoFrame) -> None:
         if self._last_frame_ns is not None and frame.timestamp_ns <= self._last_frame_ns:
