@@ -37,9 +37,9 @@ def main() -> None:
     except OvmotError as error:
         _say(f"ovmot: {error}")
         sys.exit(EXIT_FAILED)
-    except KeyboardInterrupt:
-        _say("ovmot: interrupted; what was done until here is written whole")
-        sys.exit(EXIT_INTERRUPTED)
+    except OSError as error:  # a folder that may not be read
+        _say(f"ovmot: {error}")
+        sys.exit(EXIT_BAD_INPUT)
 
 
 @app.callback(invoke_without_command=True)
@@ -94,8 +94,15 @@ def run(
         _say(f"ovmot: warning: {warning}")
     options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last)
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    with _progress(max(stop - first, 0)) as advance:
-        summary = run_sequence(recorded, settings, options, advance)
+    try:
+        with _progress(max(stop - first, 0)) as advance:
+            summary = run_sequence(recorded, settings, options, advance)
+    except KeyboardInterrupt:  # here, since Typer would swallow it without a word
+        _say("ovmot: interrupted; what was done until here is written whole")
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    for warning, count in summary.warnings.items():
+        if warning not in recorded.warnings:
+            _say(f"ovmot: warning: {warning} ({count})")
     written = summary.counts["frames_written"]
     rate = written / max(summary.wall_seconds, 1e-9)
     typer.echo(f"{written} frames in {summary.wall_seconds:.1f} s ({rate:.1f} frames/s) -> {out}")

@@ -7,6 +7,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import GivenEgoSettings
+from ovmot.errors import DatasetError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer
@@ -38,7 +39,9 @@ class GivenEgo:
         return None
 
     def predict(self, frame_ns: int, imu: ImuBuffer) -> "GivenEgo":
-        """The window with this frame's pose, which the file must hold."""
+        """The window with this frame's pose; raises `DatasetError` where none is given."""
+        if frame_ns not in self.pose_ns:
+            raise DatasetError(f"no pose is given for the frame at {frame_ns} ns")
         return replace(self, window_ns=(*self.window_ns, frame_ns))
 
     def correct(self, table: TrackTable, moving: BoolArray) -> tuple["GivenEgo", TrackTable]:

@@ -2,7 +2,8 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from ovmot.msckf.start import FilterStart
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import RunWriter, open_outputs
 from ovmot.pipeline import STAGES, Pipeline, Start
-from ovmot.types import ImuNoise, StereoFrame
+from ovmot.types import Event, ImuNoise, StereoFrame
 
 # Where neither the data nor the settings say it: a MEMS unit of the middle class.
 _DEFAULT_NOISE = ImuNoise(gyro=1.7e-4, gyro_walk=2e-5, accel=2e-3, accel_walk=3e-3)
@@ -49,6 +50,7 @@ def run_sequence(
     whole rows and a `run.json` that says so, and is raised again.
     """
     start = make_start(sequence, settings, options.ego_poses)
+    stream = events(sequence, first=options.first, last=options.last)
     counts: Counter[str] = Counter(sequence.counts)
     began = time.perf_counter()
     ended = "finished"
@@ -58,8 +60,8 @@ def run_sequence(
         force=options.force, stages=STAGES,
     )  # fmt: skip
     try:
-        with writer:
-            _feed_all(sequence, pipeline, writer, options, counts, on_frame)
+        with writer, closing(stream):
+            _feed_all(_with_pose(stream, start, counts), pipeline, writer, counts, on_frame)
     except KeyboardInterrupt:
         ended = "interrupted"
         raise
@@ -71,6 +73,9 @@ def run_sequence(
         counts["frames_written"] = writer.frames_written
         counts["frames_never_covered_by_imu"] = pipeline.dropped
         warnings = Counter(sequence.warnings)
+        if counts["frames_without_pose"]:
+            text = f"{options.ego_poses}: frames for which it has no pose: left out"
+            warnings[text] += counts["frames_without_pose"]
         if writer.frames_written == 0:
             warnings[f"no frame has a pose: {pipeline.not_started_because}"] += 1
         summary = RunSummary(
@@ -113,25 +118,30 @@ def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:
 
 
 def _feed_all(
-    sequence: FolderSequence,
+    stream: Iterable[Event],
     pipeline: Pipeline,
     writer: RunWriter,
-    options: RunOptions,
     counts: Counter[str],
     on_frame: Callable[[int], None],
 ) -> None:
-    stream = events(sequence, first=options.first, last=options.last)
-    try:
-        for event in stream:
-            if isinstance(event, StereoFrame):
-                counts["frames_read"] += 1
-                on_frame(counts["frames_read"])
-            else:
-                counts["imu_samples_read"] += 1
-            for result in pipeline.feed(event):
-                writer.write(result)
-    finally:
-        stream.close()
+    for event in stream:
+        if isinstance(event, StereoFrame):
+            counts["frames_read"] += 1
+            on_frame(counts["frames_read"] + counts["frames_without_pose"])
+        else:
+            counts["imu_samples_read"] += 1
+        for result in pipeline.feed(event):
+            writer.write(result)
+
+
+def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> Iterator[Event]:
+    """The events, without the frames for which a pose file has no pose; those are counted."""
+    posed = set(start.ego.pose_ns.tolist()) if isinstance(start, GivenStart) else None
+    for event in stream:
+        if posed is None or not isinstance(event, StereoFrame) or event.timestamp_ns in posed:
+            yield event
+        else:
+            counts["frames_without_pose"] += 1
 
 
 def _identity(sequence: FolderSequence) -> InputIdentity:
