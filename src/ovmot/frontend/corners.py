@@ -2,9 +2,10 @@
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ovmot.config import TrackerSettings
-from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.geometry.arrays import FloatArray, Image, IntArray
 
 _BORDER_PX = 8
 
@@ -55,23 +56,49 @@ def _spread(
     settings: TrackerSettings,
 ) -> FloatArray:
     """Take corners in order while their cell has room and no taken one is too near."""
-    cell = settings.grid_cell_px
-    columns, rows = -(-size[0] // cell), -(-size[1] // cell)
-    share = -(-settings.max_features // (columns * rows))
-    room = np.full((rows, columns), share)
-    occupied = np.zeros((size[1], size[0]), dtype=np.uint8)
-    radius = round(settings.min_distance_px)
-    for u, v in existing:
-        room[min(int(v) // cell, rows - 1), min(int(u) // cell, columns - 1)] -= 1
-        cv2.circle(occupied, (round(u), round(v)), radius, 255, -1)
-    taken: list[FloatArray] = []
-    for point in points:
-        u, v = int(point[0]), int(point[1])
-        if room[v // cell, u // cell] <= 0 or occupied[v, u]:
-            continue
-        taken.append(point)
+    distance = settings.min_distance_px
+    if len(existing):
+        apart, _ = cKDTree(existing).query(points)
+        points = points[apart >= distance]
+    cells, room = _cells_and_room(points, existing, size, settings)
+    taken: dict[tuple[int, int], FloatArray] = {}  # by bin of side `distance`: one in each
+    for point, cell in zip(points, cells, strict=True):
         if len(taken) == n_wanted:
             break
-        room[v // cell, u // cell] -= 1
-        cv2.circle(occupied, (u, v), radius, 255, -1)
-    return np.array(taken).reshape(-1, 2)
+        bin_uv = int(point[0] // distance), int(point[1] // distance)
+        if room[cell] > 0 and _is_free(point, bin_uv, taken, distance):
+            room[cell] -= 1
+            taken[bin_uv] = point
+    return np.array(list(taken.values())).reshape(-1, 2)
+
+
+def _cells_and_room(
+    points: FloatArray, existing: FloatArray, size: tuple[int, int], settings: TrackerSettings
+) -> tuple[IntArray, IntArray]:
+    """Grid cell (N,) of each point, and how many corners each cell may still take."""
+    side = settings.grid_cell_px
+    columns, rows = -(-size[0] // side), -(-size[1] // side)
+
+    def cell_of(uv: FloatArray) -> IntArray:
+        column = np.clip(uv[:, 0].astype(np.int64) // side, 0, columns - 1)
+        row = np.clip(uv[:, 1].astype(np.int64) // side, 0, rows - 1)
+        return row * columns + column
+
+    share = -(-settings.max_features // (columns * rows))
+    filled = np.bincount(cell_of(existing), minlength=rows * columns)
+    return cell_of(points), share - filled
+
+
+def _is_free(
+    point: FloatArray,
+    bin_uv: tuple[int, int],
+    taken: dict[tuple[int, int], FloatArray],
+    distance: float,
+) -> bool:
+    """Is no taken corner nearer than `distance`? Only the bins around can hold one."""
+    u, v = bin_uv
+    near = (taken.get((u + i, v + j)) for i in (-1, 0, 1) for j in (-1, 0, 1))
+    return all(
+        other is None or np.hypot(other[0] - point[0], other[1] - point[1]) >= distance
+        for other in near
+    )

@@ -53,25 +53,36 @@ def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatAr
 
 
 def stereo_covariance(p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Covariance (..., 3, 3), m², of stereo points (..., 3) in the left camera.
+    """Covariance (..., 3, 3), m², of points (..., 3) that `triangulate_stereo` has made.
 
     `sigma` (4,) is the standard deviation of the four plane coordinates (pixels by focal length).
-    It is the inverse of the information JᵀJ of the two views; NaN where the point is NaN.
+    To first order: the left point moves the ray, and both points move the depth along it, as far
+    as they go along the epipolar line. NaN where the point is NaN.
     """
     _, J = project_stereo(p_cam0, T_cam1_cam0)
-    J = J / sigma[:, None]
-    return inverse_3x3(np.swapaxes(J, -1, -2) @ J)
+    J1 = J[..., 2:, :]
+    depth = p_cam0[..., 2, None, None]
+    ray = p_cam0[..., None] / depth
+    along = J1 @ ray  # of the right point, by depth
+    by_right = np.swapaxes(along, -1, -2) / (along * along).sum((-1, -2))[..., None, None]
+    G = np.concatenate(
+        [depth * (np.eye(3)[:, :2] - ray @ (by_right @ J1[..., :2])), ray @ by_right], axis=-1
+    )
+    G = G * sigma
+    return G @ np.swapaxes(G, -1, -2)
 
 
 def inverse_3x3(matrix: FloatArray) -> FloatArray:
     """Inverses (..., 3, 3) by cofactors: quick on large batches, NaN or inf where singular."""
-    a = matrix
-    c0 = np.cross(a[..., 1, :], a[..., 2, :])
-    c1 = np.cross(a[..., 2, :], a[..., 0, :])
-    c2 = np.cross(a[..., 0, :], a[..., 1, :])
-    det = (a[..., 0, :] * c0).sum(-1)
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrix, (-2, -1), (0, 1))
+    A, B, C = e * i - f * h, f * g - d * i, d * h - e * g
+    cofactors = np.empty_like(matrix)
+    cofactors[..., 0, 0], cofactors[..., 1, 0], cofactors[..., 2, 0] = A, B, C
+    cofactors[..., 0, 1], cofactors[..., 0, 2] = c * h - b * i, b * f - c * e
+    cofactors[..., 1, 1], cofactors[..., 1, 2] = a * i - c * g, c * d - a * f
+    cofactors[..., 2, 1], cofactors[..., 2, 2] = b * g - a * h, a * e - b * d
     with np.errstate(divide="ignore", invalid="ignore"):
-        inverse: FloatArray = np.stack([c0, c1, c2], axis=-1) / det[..., None, None]
+        inverse: FloatArray = cofactors / (a * A + b * B + c * C)[..., None, None]
     return inverse
 
 
