@@ -4,10 +4,15 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from ovmot.geometry.arrays import FloatArray
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.types import StereoFrame
 
 
 @pytest.fixture(scope="session")
@@ -32,3 +37,69 @@ def central_differences() -> Callable[..., FloatArray]:
         return np.stack(columns, axis=-1)
 
     return derivative
+
+
+@pytest.fixture(scope="session")
+def painted_rig() -> StereoRig:
+    """Two 320x240 pinhole cameras, 0.3 m apart, looking along x of an IMU that stands upright."""
+    camera = Camera.make((320, 240), (200.0, 200.0), (159.5, 119.5))
+    R_imu_cam = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    return StereoRig(
+        camera,
+        camera,
+        se3.make(R_imu_cam, np.zeros(3)),
+        se3.make(R_imu_cam, np.array([0.0, -0.3, 0.0])),
+    )
+
+
+@pytest.fixture(scope="session")
+def painted_pair() -> Callable[..., StereoFrame]:
+    """A stereo pair of `painted_rig` before painted walls: (stamp_ns, camera y, body y) -> frame.
+
+    Upper half: a wall 8 m away, lower half: one 5 m away. A body 6 m away covers 80x80 pixels of
+    the middle. Camera and body move along the world's y (to the left), metres; rotation is zero,
+    so every picture is exact up to interpolation. `lift_right` shifts a box of the right picture
+    (columns 200 to 280) up by that many pixels: matches there break the epipolar constraint.
+    """
+    rng = np.random.default_rng(5)
+    walls = [_paint(rng, 240, 1600) for _ in range(2)]
+    body = _paint(rng, 80, 84)
+
+    def view(camera_y: float, body_y: float) -> Image:
+        out = np.empty((240, 320))
+        for rows, wall, depth in ((slice(0, 120), 0, 8.0), (slice(120, 240), 1, 5.0)):
+            out[rows] = _columns(walls[wall], 640.0 - 200.0 * camera_y / depth, 320)[rows]
+        u = 120.0 + 200.0 * (camera_y - body_y) / 6.0
+        first = int(np.ceil(u))
+        out[80:160, first : first + 80] = _columns(body, first - u, 80)
+        return np.asarray(np.round(out), dtype=np.uint8)
+
+    def pair(
+        timestamp_ns: int, camera_y: float = 0.0, body_y: float = 0.0, lift_right: int = 0
+    ) -> StereoFrame:
+        left, right = view(camera_y, body_y), view(camera_y - 0.3, body_y)
+        if lift_right:
+            right[:, 200:280] = np.roll(right[:, 200:280], -lift_right, axis=0)
+        return StereoFrame(timestamp_ns, left, right)
+
+    return pair
+
+
+_FINE = 4
+
+
+def _paint(rng: np.random.Generator, height: int, width: int) -> FloatArray:
+    """A texture of blobs some pixels wide, grey 20 to 235; four columns to a pixel."""
+    noise = rng.standard_normal((height, _FINE * width)).astype(np.float32)
+    noise = cv2.GaussianBlur(noise, (0, 0), sigmaX=1.8 * _FINE, sigmaY=1.8).astype(np.float32)
+    return np.asarray(np.clip(128.0 + 60.0 * noise / noise.std(), 20.0, 235.0), dtype=np.float64)
+
+
+def _columns(texture: FloatArray, u: float, count: int) -> FloatArray:
+    """So many columns of a texture, one a pixel, from a fractional pixel on."""
+    i = int(np.floor(_FINE * u))
+    a, stop = _FINE * u - i, i + _FINE * count
+    out: FloatArray = (1.0 - a) * texture[:, i:stop:_FINE] + a * texture[
+        :, i + 1 : stop + 1 : _FINE
+    ]
+    return out

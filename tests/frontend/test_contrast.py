@@ -1,0 +1,37 @@
+"""Contrast correction: what each way does to a dark, flat picture."""
+
+import numpy as np
+import pytest
+
+from ovmot.frontend.contrast import EQUALIZERS
+from ovmot.geometry.arrays import Image
+
+
+@pytest.fixture
+def dark() -> Image:
+    """Grey 40 to 60, darker to the left."""
+    noise = np.random.default_rng(0).integers(0, 12, (120, 160))
+    return np.asarray(40 + noise + np.arange(160) // 20, dtype=np.uint8)
+
+
+def test_the_histogram_is_spread_over_all_greys(dark: Image) -> None:
+    out = EQUALIZERS["histogram"](dark)
+    assert out.dtype == np.uint8
+    assert (int(out.min()), int(out.max())) == (0, 255)
+    order = np.argsort(dark.ravel(), kind="stable")
+    assert np.all(np.diff(out.ravel()[order].astype(int)) >= 0)  # no grey overtakes another
+    # brightness and gain of the camera do not matter
+    brighter = np.asarray(2 * dark.astype(int) + 20, dtype=np.uint8)
+    np.testing.assert_array_equal(EQUALIZERS["histogram"](brighter), out)
+
+
+def test_clahe_corrects_each_place_for_itself(dark: Image) -> None:
+    out = EQUALIZERS["clahe"](dark).astype(float)
+    assert out.std() > 2.0 * dark.std()
+    slope_before = float(dark[:, 80:].mean()) - float(dark[:, :80].mean())
+    slope_after = out[:, 80:].mean() - out[:, :80].mean()
+    assert slope_after / out.std() < slope_before / dark.std()
+
+
+def test_none_leaves_the_image_as_it_is(dark: Image) -> None:
+    assert EQUALIZERS["none"](dark) is dark

@@ -1,0 +1,97 @@
+"""New corners: on corners, apart from each other and from what is there, evenly spread."""
+
+import numpy as np
+import pytest
+
+from ovmot.config import TrackerSettings
+from ovmot.frontend.corners import detect_corners
+from ovmot.geometry.arrays import FloatArray, Image
+
+SETTINGS = TrackerSettings(
+    max_features=80, min_distance_px=10.0, fast_threshold=15, grid_cell_px=64
+)
+NOTHING: FloatArray = np.empty((0, 2))
+
+
+@pytest.fixture(scope="module")
+def dots() -> Image:
+    """Bright 7 px squares everywhere: dense and strong at the left, sparse and faint right."""
+    rng = np.random.default_rng(4)
+    image = np.full((256, 512), 60, dtype=np.uint8)
+    for half, count, grey in ((0, 350, 220), (256, 120, 110)):
+        for u, v in rng.integers((half + 6, 6), (half + 244, 244), (count, 2)):
+            image[v : v + 7, u : u + 7] = grey
+    # a little noise: FAST drops both of two neighbours that answer alike
+    return image + rng.integers(0, 6, image.shape).astype(np.uint8)
+
+
+def nearest(points: FloatArray, others: FloatArray) -> FloatArray:
+    """Distance (N,) from each of `points` (N, 2) to the nearest of `others`, itself apart."""
+    apart = np.linalg.norm(points[:, None] - others[None], axis=-1)
+    return np.asarray(np.where(apart > 0.0, apart, np.inf).min(axis=1))
+
+
+def test_a_corner_is_found_at_each_dot_and_nowhere_else() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.integers(48, 53, (128, 128)).astype(np.uint8)
+    dots = np.array([[20, 20], [70, 30], [40, 60], [100, 70], [30, 105], [90, 110]])
+    for u, v in dots:
+        image[v - 3 : v + 4, u - 3 : u + 4] += 150
+    found = detect_corners(image, NOTHING, 50, SETTINGS)
+    assert nearest(dots + 0.1, found).max() <= 6.0
+    assert nearest(found, dots + 0.1).max() <= 6.0
+
+
+def test_corners_keep_apart(dots: Image) -> None:
+    found = detect_corners(dots, NOTHING, 500, SETTINGS)
+    assert len(found) > 40
+    assert nearest(found, found).min() > 9.0  # circles of rounded centres: one pixel less
+
+
+def test_every_cell_gets_its_share_and_no_more(dots: Image) -> None:
+    found = detect_corners(dots, NOTHING, 500, SETTINGS)
+    count = np.zeros((4, 8), dtype=int)
+    np.add.at(count, ((found[:, 1] // 64).astype(int), (found[:, 0] // 64).astype(int)), 1)
+    share = -(-80 // 32)
+    assert count.max() == share
+    # the faint half gets as many as the strong one, though FAST answers less there
+    assert count[:, 4:].sum() > 0.8 * count[:, :4].sum()
+
+
+def test_no_more_than_wanted_the_strongest_first(dots: Image) -> None:
+    assert len(detect_corners(dots, NOTHING, 7, SETTINGS)) == 7
+    assert (detect_corners(dots, NOTHING, 7, SETTINGS)[:, 0] < 256).all()
+    assert detect_corners(dots, NOTHING, 0, SETTINGS).shape == (0, 2)
+    assert detect_corners(dots, NOTHING, -3, SETTINGS).shape == (0, 2)
+
+
+def test_existing_points_are_left_room(dots: Image) -> None:
+    existing = detect_corners(dots, NOTHING, 25, SETTINGS) + 0.4
+    added = detect_corners(dots, existing, 500, SETTINGS)
+    assert len(added) > 10
+    assert nearest(added, existing).min() > 9.0
+    both = np.concatenate([existing, added])
+    count = np.zeros((4, 8), dtype=int)
+    np.add.at(count, ((both[:, 1] // 64).astype(int), (both[:, 0] // 64).astype(int)), 1)
+    assert count.max() <= -(-80 // 32)
+
+
+def test_a_full_cell_gets_none(dots: Image) -> None:
+    full = np.array([[10.0, 10.0], [10.0, 40.0], [40.0, 10.0]])
+    added = detect_corners(dots, full, 500, SETTINGS)
+    assert not np.any((added < 64).all(1))
+
+
+def test_a_blank_image_has_no_corners() -> None:
+    blank = np.full((128, 128), 90, dtype=np.uint8)
+    assert detect_corners(blank, NOTHING, 50, SETTINGS).shape == (0, 2)
+
+
+def test_corners_at_the_rim_are_not_taken(dots: Image) -> None:
+    rim = np.full((128, 128), 50, dtype=np.uint8)
+    rim[:5, :5] = 200
+    assert len(detect_corners(rim, NOTHING, 50, SETTINGS)) == 0
+    found = detect_corners(dots, NOTHING, 500, SETTINGS)
+    assert found.min() >= 8.0
+    assert found[:, 0].max() < 504.0
+    assert found[:, 1].max() < 248.0

@@ -1,0 +1,177 @@
+"""The gate against exact geometry: any lens, lines in any direction, both ways to scale."""
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import EpipolarSettings
+from ovmot.frontend.epipolar import (
+    epipolar_lines,
+    gate_matches,
+    scale_by_angle,
+    scale_by_fy,
+    without_refused,
+)
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.types import StereoMatches
+
+LENSES = {
+    "none": [],
+    "radtan": [-0.28, 0.07, 2e-4, -3e-4],
+    "equidistant": [-0.01, 0.02, -0.015, 0.004],
+}
+ANGLE = EpipolarSettings(threshold_px=1.5, scale="angle")
+FY = EpipolarSettings(threshold_px=1.5, scale="fy")
+
+
+def rotated_rig(lens: str, focal: tuple[float, float] = (420.0, 310.0)) -> StereoRig:
+    """The right camera rolled by -25 degrees, squinting a little, displaced diagonally."""
+    camera = Camera.make((752, 480), focal, (370.0, 245.0), lens, LENSES[lens])
+    roll = so3.exp(np.array([0.0, 0.0, np.radians(-25.0)])) @ so3.exp(np.array([0.03, -0.05, 0.0]))
+    return StereoRig(camera, camera, np.eye(4), se3.make(roll, np.array([0.3, 0.25, 0.05])))
+
+
+def level_rig() -> StereoRig:
+    camera = Camera.make((752, 480), (420.0, 310.0), (370.0, 245.0))
+    return StereoRig(camera, camera, np.eye(4), se3.make(np.eye(3), np.array([0.3, 0.0, 0.0])))
+
+
+def true_matches(rig: StereoRig, n: int = 200) -> FloatArray:
+    """Pixels (N, 4) of points that both cameras see."""
+    rng = np.random.default_rng(1)
+    z = rng.uniform(2.0, 40.0, n)
+    p = np.column_stack([rng.uniform(-0.5, 0.5, n) * z, rng.uniform(-0.4, 0.4, n) * z, z])
+    left = rig.cam0.project(p)
+    right = rig.cam1.project(se3.apply(rig.T_cam1_cam0, p))
+    inside = rig.cam0.inside(left) & rig.cam1.inside(right)
+    assert inside.sum() > n // 3
+    return np.concatenate([left, right], axis=1)[inside]
+
+
+def gate(rig: StereoRig, pixels: FloatArray, settings: EpipolarSettings) -> StereoMatches:
+    normalized = np.concatenate(
+        [rig.cam0.normalize(pixels[:, :2]), rig.cam1.normalize(pixels[:, 2:])], axis=1
+    )
+    return gate_matches(np.arange(len(pixels)), pixels, normalized, rig, settings)
+
+
+def along_normals(rig: StereoRig, pixels: FloatArray, off: FloatArray) -> FloatArray:
+    """The matches with their right points moved by `off` (N,) pixels along the lines' normals.
+
+    The line a x + b y + c = 0 of the plane is (a/fx) u + (b/fy) v + ... = 0 in the image.
+    """
+    lines = epipolar_lines(rig.cam0.normalize(pixels[:, :2]), rig.essential)
+    normal = lines[:, :2] / (rig.cam1.fx, rig.cam1.fy)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    out = pixels.copy()
+    out[:, 2:] += off[:, None] * normal
+    return out
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("settings", [ANGLE, FY])
+def test_true_matches_lie_on_their_lines(lens: str, settings: EpipolarSettings) -> None:
+    rig = rotated_rig(lens)
+    matches = gate(rig, true_matches(rig), settings)
+    assert matches.accepted.all()
+    assert matches.distance_px.max() < 1e-6
+    tilt = np.degrees(np.arctan2(np.abs(matches.line[:, 0]), np.abs(matches.line[:, 1])))
+    assert np.median(tilt) > 45.0  # the lines are far from horizontal
+    np.testing.assert_allclose(np.hypot(matches.line[:, 0], matches.line[:, 1]), 1.0)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_distance_is_in_pixels_along_the_normal(sign: float) -> None:
+    rig = rotated_rig("none")
+    pixels = true_matches(rig)
+    off = np.random.default_rng(2).uniform(0.1, 5.0, len(pixels))
+    matches = gate(rig, along_normals(rig, pixels, sign * off), ANGLE)
+    np.testing.assert_allclose(matches.distance_px, off, atol=1e-6)
+    np.testing.assert_array_equal(matches.accepted, off <= 1.5)
+    assert 0 < matches.accepted.sum() < len(pixels)
+
+
+@pytest.mark.parametrize("lens", ["radtan", "equidistant"])
+def test_a_lens_changes_the_distance_only_by_its_own_magnification(lens: str) -> None:
+    """Right beside the middle, where the lens does next to nothing, d pixels are d pixels."""
+    rig = rotated_rig(lens)
+    pixels = true_matches(rig, 4000)
+    middle = np.hypot(pixels[:, 2] - 370.0, pixels[:, 3] - 245.0) < 40.0
+    assert middle.sum() > 10
+    matches = gate(rig, along_normals(rig, pixels[middle], np.full(middle.sum(), 2.0)), ANGLE)
+    np.testing.assert_allclose(matches.distance_px, 2.0, rtol=0.03)
+    assert not matches.accepted.any()
+
+
+def test_a_match_moved_along_its_line_is_accepted() -> None:
+    rig = rotated_rig("none")
+    pixels = true_matches(rig)
+    along = along_normals(rig, pixels, np.ones(len(pixels)))[:, 2:] - pixels[:, 2:]
+    slid = pixels.copy()
+    slid[:, 2:] += 20.0 * np.column_stack([-along[:, 1], along[:, 0]])
+    assert gate(rig, slid, ANGLE).distance_px.max() < 1e-6
+
+
+def test_both_scales_agree_on_horizontal_lines() -> None:
+    rig = level_rig()
+    pixels = true_matches(rig)
+    pixels[:, 3] += np.random.default_rng(3).normal(0.0, 1.5, len(pixels))
+    by_angle, by_fy = gate(rig, pixels, ANGLE), gate(rig, pixels, FY)
+    np.testing.assert_allclose(by_angle.distance_px, by_fy.distance_px, rtol=1e-12)
+    np.testing.assert_allclose(by_angle.distance_px, np.abs(pixels[:, 3] - pixels[:, 1]), atol=1e-9)
+    np.testing.assert_array_equal(by_angle.accepted, by_fy.accepted)
+
+
+def test_the_scales_differ_on_sloped_lines_by_their_definition() -> None:
+    rig = rotated_rig("none")
+    off = np.full(len(true_matches(rig)), 1.4)
+    pixels = along_normals(rig, true_matches(rig), off)
+    by_angle, by_fy = gate(rig, pixels, ANGLE), gate(rig, pixels, FY)
+    a, b = by_angle.line[:, 0], by_angle.line[:, 1]
+    expected = 1.4 * np.hypot(a / 420.0, b / 310.0) * 310.0
+    np.testing.assert_allclose(by_fy.distance_px, expected, atol=1e-6)
+    assert np.abs(by_fy.distance_px - by_angle.distance_px).max() > 0.1
+    np.testing.assert_allclose(scale_by_fy(by_fy.line, rig.cam1), 1.0 / 310.0)
+    np.testing.assert_allclose(
+        scale_by_angle(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), rig.cam1), [1 / 420, 1 / 310]
+    )
+
+
+@pytest.mark.parametrize("column", range(4))
+def test_nan_is_refused(column: int) -> None:
+    rig = rotated_rig("radtan")
+    pixels = true_matches(rig)[:5]
+    pixels[2, column] = np.nan
+    assert gate(rig, pixels, ANGLE).accepted.tolist() == [True, True, False, True, True]
+
+
+def test_a_pixel_past_the_lens_s_fold_is_refused() -> None:
+    camera = Camera.make((752, 480), (420.0, 420.0), (370.0, 245.0), "radtan", [-0.5, 0.0, 0, 0])
+    rig = StereoRig(camera, camera, np.eye(4), se3.make(np.eye(3), np.array([0.3, 0.0, 0.0])))
+    pixels = np.array([[380.0, 245.0, 370.0, 245.0], [380.0, 245.0, 5.0, 5.0]])
+    assert np.isnan(camera.normalize(pixels[1, 2:])).all()
+    assert gate(rig, pixels, ANGLE).accepted.tolist() == [True, False]
+
+
+def test_the_threshold_is_respected() -> None:
+    rig = level_rig()
+    pixels = np.repeat(true_matches(rig)[:1], 3, axis=0)
+    pixels[:, 3] += [0.0, 2.9, 3.1]
+    settings = EpipolarSettings(threshold_px=3.0, scale="angle")
+    assert gate(rig, pixels, settings).accepted.tolist() == [True, True, False]
+    assert gate(rig, pixels, ANGLE).accepted.tolist() == [True, False, False]
+
+
+def test_a_refused_match_loses_its_right_half_only() -> None:
+    rig = level_rig()
+    pixels = true_matches(rig)[:4]
+    pixels[1, 3] += 10.0
+    matches = gate(rig, pixels, ANGLE)
+    out = without_refused(pixels, matches)
+    np.testing.assert_array_equal(out[:, :2], pixels[:, :2])
+    assert np.isnan(out[:, 2]).tolist() == [False, True, False, False]
+    assert np.isnan(out[:, 3]).tolist() == [False, True, False, False]
+    np.testing.assert_array_equal(out[[0, 2, 3]], pixels[[0, 2, 3]])
+    assert np.isfinite(pixels).all()  # the argument is left as it was

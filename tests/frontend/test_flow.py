@@ -1,0 +1,116 @@
+"""Optical flow on pictures whose motion is known."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import pytest
+
+from ovmot.config import TrackerSettings
+from ovmot.frontend.flow import follow
+from ovmot.geometry.arrays import AnyArray, FloatArray, Image
+
+SETTINGS = TrackerSettings(klt_window_px=15, klt_levels=3)
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def texture() -> AnyArray:
+    """Blobs about two pixels wide, drawn eight times as fine as a pixel."""
+    noise = np.random.default_rng(3).standard_normal((2400, 3200)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 8 * 1.8)
+    return np.asarray(128.0 + 50.0 * smooth / smooth.std())
+
+
+def picture(texture: AnyArray, shift: tuple[float, float]) -> Image:
+    """200x300 pixels of the texture, moved right and down by whole eighths of a pixel, exactly."""
+    u, v = 400 - round(8 * shift[0]), 400 - round(8 * shift[1])
+    cut = texture[v : v + 1600 : 8, u : u + 2400 : 8]
+    return np.asarray(np.clip(np.round(cut), 0, 255), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def points() -> FloatArray:
+    u, v = np.meshgrid(np.linspace(60.0, 240.0, 12), np.linspace(50.0, 150.0, 7))
+    return np.column_stack([u.ravel(), v.ravel()])
+
+
+def unknown(points: FloatArray) -> FloatArray:
+    return np.full_like(points, np.nan)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (3.375, -2.625), (-7.75, 5.125)])
+def test_a_shift_is_found_below_a_twentieth_of_a_pixel(
+    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor, shift: tuple[float, float]
+) -> None:
+    source, target = picture(texture, (0.0, 0.0)), picture(texture, shift)
+    found, ok = follow(source, target, points, unknown(points), SETTINGS, workers)
+    assert ok.mean() > 0.95
+    error = found[ok] - points[ok] - shift
+    assert np.abs(error).max() < 0.05
+    assert np.abs(error.mean(0)).max() < 0.005
+
+
+def test_a_large_shift_needs_its_predicted_start(
+    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+) -> None:
+    shift = (48.0, -31.0)
+    source, target = picture(texture, (0.0, 0.0)), picture(texture, shift)
+    flat = SETTINGS.model_copy(update={"klt_levels": 1})
+    blind, ok_blind = follow(source, target, points, unknown(points), flat, workers)
+    right = np.linalg.norm(blind - points - shift, axis=1) < 0.5
+    assert (ok_blind & right).mean() < 0.05
+    start = points + shift + np.random.default_rng(0).uniform(-1.5, 1.5, points.shape)
+    found, ok = follow(source, target, points, start, flat, workers)
+    right = np.linalg.norm(found - points - shift, axis=1) < 0.1
+    assert (ok & right).mean() > 0.9
+
+
+def test_points_are_found_from_their_own_starts(
+    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+) -> None:
+    """A NaN start means the old position, for that point alone."""
+    source, target = picture(texture, (0.0, 0.0)), picture(texture, (2.0, 1.0))
+    start = unknown(points)
+    start[::2] = points[::2] + np.array([2.0, 1.0])
+    found, ok = follow(source, target, points, start, SETTINGS, workers)
+    assert ok.mean() > 0.95
+    np.testing.assert_allclose(found[ok] - points[ok], [[2.0, 1.0]] * ok.sum(), atol=0.1)
+
+
+def test_what_is_gone_is_flagged(
+    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+) -> None:
+    source, target = picture(texture, (0.0, 0.0)), picture(texture, (1.0, 0.0))
+    other = np.random.default_rng(9).integers(0, 255, target.shape).astype(np.uint8)
+    gone = target.copy()
+    gone[:, 150:] = cv2.GaussianBlur(other, (0, 0), 1.5)[:, 150:]
+    _, ok = follow(source, gone, points, unknown(points), SETTINGS, workers)
+    assert ok[points[:, 0] < 130].mean() > 0.9
+    assert ok[points[:, 0] > 170].mean() < 0.2
+    flat = np.full_like(target, 128)
+    assert not follow(source, flat, points, unknown(points), SETTINGS, workers)[1].any()
+
+
+def test_no_points(workers: ThreadPoolExecutor) -> None:
+    image = np.zeros((50, 50), dtype=np.uint8)
+    nothing = np.empty((0, 2))
+    found, ok = follow(image, image, nothing, nothing, SETTINGS, workers)
+    assert (found.shape, ok.shape) == ((0, 2), (0,))
+
+
+def test_one_point_alone_gives_the_same_as_among_others(
+    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+) -> None:
+    source, target = picture(texture, (0.0, 0.0)), picture(texture, (2.25, 1.125))
+    together, _ = follow(source, target, points, unknown(points), SETTINGS, workers)
+    for i in (0, 41, 83):
+        one = points[i : i + 1]
+        alone, _ = follow(source, target, one, unknown(one), SETTINGS, workers)
+        np.testing.assert_array_equal(alone[0], together[i])
