@@ -69,7 +69,8 @@ def stereo_covariance(p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatA
         [depth * (np.eye(3)[:, :2] - ray @ (by_right @ J1[..., :2])), ray @ by_right], axis=-1
     )
     G = G * sigma
-    return G @ np.swapaxes(G, -1, -2)
+    C: FloatArray = G @ np.swapaxes(G, -1, -2)
+    return C
 
 
 def inverse_3x3(matrix: FloatArray) -> FloatArray:
