@@ -43,8 +43,9 @@ def solve_stereo_motion(
 
     With the rotation known roughly (`R_now_before` (3, 3), standard deviation in rad), each point
     alone proposes a translation; the proposal with most points within their covariance-scaled gate
-    is refined by iteratively reweighted Gauss-Newton. `sigma` (4,): standard deviations of plane
-    coordinates. None with fewer than 8 points that agree.
+    is refined by iteratively reweighted Gauss-Newton, first with a gate that is as wide as the
+    rotation is uncertain, then with that of the points alone. `sigma` (4,): standard deviations of
+    plane coordinates. None with fewer than 8 points that agree.
     """
     p_before = triangulate_stereo(before, T_cam1_cam0)
     p_now = triangulate_stereo(now, T_cam1_cam0)
@@ -53,11 +54,14 @@ def solve_stereo_motion(
         return None
     p, q, z = p_before[both], p_now[both], now[both]
     C = stereo_covariance(p, T_cam1_cam0, sigma)
-    W = _weights(p, C, R_now_before, q, T_cam1_cam0, sigma)
+    # While the rotation is known but roughly, its uncertainty opens the gate.
+    A = rotation_sigma * so3.hat(p)
+    W = _weights(C + A @ np.swapaxes(A, -1, -2), R_now_before, q, T_cam1_cam0, sigma)
     t, inlier = _best_translation(p, q, z, W, R_now_before, T_cam1_cam0)
     if inlier.sum() < 8:
         return None
-    T = se3.make(R_now_before, t)
+    T, _, _ = _refine(se3.make(R_now_before, t), p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
+    W = _weights(C, T[:3, :3], q, T_cam1_cam0, sigma)
     T, information, inlier = _refine(T, p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
     if inlier.sum() < 8:
         return None
@@ -68,14 +72,12 @@ def solve_stereo_motion(
 
 
 def _weights(
-    p: FloatArray,
-    C: FloatArray,
-    R: FloatArray,
-    q: FloatArray,
-    T_c1_c0: FloatArray,
-    sigma: FloatArray,
+    C: FloatArray, R: FloatArray, q: FloatArray, T_c1_c0: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """Inverse covariances (N, 4, 4) of the reprojection, at the observed present points."""
+    """Inverse covariances (N, 4, 4) of the reprojection of points that scatter by C (N, 3, 3).
+
+    R turns C into the present view; derivatives are taken at the observed present points q.
+    """
     _, J = project_stereo(q, T_c1_c0)
     S = J @ (R @ C @ R.T) @ np.swapaxes(J, -1, -2) + np.diag(sigma**2)
     return np.asarray(np.linalg.inv(S), np.float64)
