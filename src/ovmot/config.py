@@ -42,7 +42,7 @@ class TrackerSettings(_Section):
     """Features kept alive in the left image."""
     min_distance_px: float = Field(12.0, ge=2.0)
     """New corners keep this distance from each other and from tracked features."""
-    fast_threshold: int = Field(15, ge=1, le=255)
+    fast_threshold: int = Field(20, ge=1, le=255)
     """Contrast in grey levels that FAST asks of a corner."""
     grid_cell_px: int = Field(64, ge=8)
     """Side of the image cells over which corners are spread evenly."""

@@ -21,7 +21,7 @@ from ovmot.msckf.update import ekf_update
 from ovmot.types import ImuData, ImuNoise
 
 GAUGE_SIGMA = 1e-5  # yaw and position are zero by definition
-_ACCEL_BIAS_SIGMA = 0.1  # m/s²
+ACCEL_BIAS_SIGMA = 0.05  # m/s², prior
 _TILT_SIGMA = 0.1  # rad, before gravity is used
 _REST_SPEED_SIGMA = 0.02  # m/s
 
@@ -63,7 +63,7 @@ def start_at_rest(
     P[POSITION, POSITION] = GAUGE_SIGMA**2 * np.eye(3)
     P[VELOCITY, VELOCITY] = _REST_SPEED_SIGMA**2 * np.eye(3)
     P[GYRO_BIAS, GYRO_BIAS] = (noise.gyro**2 / span + noise.gyro_walk**2 * span + 1e-10) * np.eye(3)
-    P[ACCEL_BIAS, ACCEL_BIAS] = _ACCEL_BIAS_SIGMA**2 * np.eye(3)
+    P[ACCEL_BIAS, ACCEL_BIAS] = ACCEL_BIAS_SIGMA**2 * np.eye(3)
     P[TIME_OFFSET, TIME_OFFSET] = time_offset[1] ** 2
     start = State(int(imu.timestamp_ns[-1]), state, state, time_offset[0], no_clones(), P)
     levelled = ekf_update(

@@ -17,7 +17,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
 from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
-from ovmot.msckf.start_at_rest import GAUGE_SIGMA
+from ovmot.msckf.start_at_rest import ACCEL_BIAS_SIGMA, GAUGE_SIGMA
 from ovmot.msckf.state import (
     ACCEL_BIAS,
     FIRST_CLONE,
@@ -33,13 +33,12 @@ from ovmot.msckf.state import (
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 
 _GYRO_BIAS_SIGMA = 0.05  # rad/s, prior
-_ACCEL_BIAS_SIGMA = 0.1  # m/s², prior
 _ROTATION_SIGMA = 0.01  # rad, of the gyro's rotation between two frames, bias unknown
 _PIXEL_SIGMA = 1.0
 _MIN_STEP_SIGMA = 0.003  # m, per frame
 _MAX_GRAVITY_ERROR = 1.5  # m/s², of the free solution
-_MAX_MISFIT = 4.0  # standard deviations, root mean square
-_INFLATION = 2.0  # on standard deviations: the window's images will be used again by the filter
+_MAX_MISFIT = 2.0  # standard deviations, root mean square
+_INFLATION = 2.0  # on the path's standard deviations: its errors are not independent
 
 
 class CannotStart(Exception):  # noqa: N818 - no fault of anyone: the filter waits on
@@ -109,7 +108,7 @@ def stereo_path(
         spread = float(np.trace(motion.covariance[3:, 3:])) / 3.0
         variance.append(variance[-1] + spread + _MIN_STEP_SIGMA**2)
     T = rig.T_imu_cam0 @ np.array(T_start_cam) @ se3.inverse(rig.T_imu_cam0)
-    return StereoPath(T, np.sqrt(np.array(variance)))
+    return StereoPath(T, _INFLATION * np.sqrt(np.array(variance)))
 
 
 def integrated_rotation(samples: ImuData) -> FloatArray:
@@ -202,8 +201,8 @@ def _solve_with_gravity(
         r = moved - t[:, None] * v - 0.5 * (t**2)[:, None] * g - by_bias @ ba
         N = np.einsum("kij,kil,k->jl", J, J, weight)
         c = np.einsum("kij,ki,k->j", J, r, weight)
-        N[5:, 5:] += np.eye(3) / _ACCEL_BIAS_SIGMA**2
-        c[5:] -= ba / _ACCEL_BIAS_SIGMA**2
+        N[5:, 5:] += np.eye(3) / ACCEL_BIAS_SIGMA**2
+        c[5:] -= ba / ACCEL_BIAS_SIGMA**2
         step = np.linalg.solve(N, c)
         g = so3.exp(B @ step[:2]) @ g
         v, ba = v + step[2:5], ba + step[5:]
@@ -226,7 +225,7 @@ def _state_at_start(
     J[VELOCITY, :2] = R @ so3.hat(fit.velocity) @ fit.basis
     J[VELOCITY, 2:5] = R
     J[ACCEL_BIAS, 5:] = np.eye(3)
-    P = _INFLATION**2 * J @ fit.covariance @ J.T
+    P = J @ fit.covariance @ J.T
     down = fit.gravity / np.linalg.norm(fit.gravity)
     P[THETA, THETA] += GAUGE_SIGMA**2 * np.outer(down, down) + 1e-8 * np.eye(3)
     P[POSITION, POSITION] += GAUGE_SIGMA**2 * np.eye(3)
