@@ -22,14 +22,17 @@ class Comparison:
 
     `span_s` (L,): time between. `predicted` (L, N, 3): the earlier point carried into the present
     left camera, metres. `residual` (L, N, 4): observed minus predicted plane coordinates of both
-    views; `J` (L, N, 4, 3): derivative of the prediction by the point; `S` (L, N, 4, 4):
-    covariance of the residual for a point at rest (pixels then and now, and the ego motion).
+    views; `J` (L, N, 4, 3): derivative of the prediction by the point; `J_motion` (L, N, 4, 3):
+    residual = J_motion (position now - predicted), exactly, however far the point has gone;
+    `S` (L, N, 4, 4): covariance of the residual for a point at rest (pixels then and now, and the
+    ego motion).
     """
 
     span_s: FloatArray
     predicted: FloatArray
     residual: FloatArray
     J: FloatArray
+    J_motion: FloatArray
     S: FloatArray
 
     @property
@@ -89,7 +92,24 @@ def compare(
     flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
     drift = (drift_per_flow * flow)[..., None, None] ** 2 * np.eye(4)
     S = J @ C @ np.swapaxes(J, -1, -2) + np.diag(sigma**2) + drift
-    return Comparison(history.span_s, predicted, history.now - seen, J, S)
+    p_now = triangulate_stereo(history.now, T_c1_c0)
+    J_motion = secant_jacobian(predicted, p_now, T_c1_c0)
+    return Comparison(history.span_s, predicted, history.now - seen, J, J_motion, S)
+
+
+def secant_jacobian(p_from: FloatArray, p_to: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
+    """D (..., 4, 3) with h(p_to) - h(p_from) = D (p_to - p_from) for both views h, exactly.
+
+    In one view, with x = X/Z: x' - x = ((X' - X) - x (Z' - Z)) / Z'.
+    """
+    out = np.zeros((*np.broadcast_shapes(p_from.shape, p_to.shape)[:-1], 4, 3))
+    for side, T in enumerate((np.eye(4), T_cam1_cam0)):
+        start, end = se3.apply(T, p_from), se3.apply(T, p_to)
+        rows = np.zeros((*out.shape[:-2], 2, 3))
+        rows[..., 0, 0] = rows[..., 1, 1] = 1.0
+        rows[..., 2] = -start[..., :2] / start[..., 2:]
+        out[..., 2 * side : 2 * side + 2, :] = rows / end[..., 2, None, None] @ T[:3, :3]
+    return out
 
 
 def _ego_covariance(

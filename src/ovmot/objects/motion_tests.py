@@ -100,7 +100,7 @@ def examine_rest(comparison: Comparison, settings: SplitSettings) -> RestTest:
 
     S_fit = S + JJt * ((0.5 * _FORGIVEN_ACCEL * span**2) ** 2)[..., None, None]
     W = np.linalg.inv(S_fit)
-    Jv = J * span[..., None, None]
+    Jv = np.where(tested[..., None, None], comparison.J_motion, 0.0) * span[..., None, None]
     JtW = np.swapaxes(Jv, -1, -2) @ W
     covariance = inverse_3x3((JtW @ Jv).sum(0) + 1e-6 * np.eye(3))
     v = covariance @ (JtW @ r[..., None]).sum(0)

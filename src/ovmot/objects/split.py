@@ -4,7 +4,7 @@ Candidates are judged before the filter's update, so that no moving point can co
 which it is judged.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -125,13 +125,7 @@ def _within_range(comparison: Comparison, p_cam0: FloatArray, max_range: float) 
     """Only comparisons whose point is in front of both cameras and near enough, then and now."""
     with np.errstate(invalid="ignore"):
         near = (p_cam0[:, 2] < max_range) & (comparison.predicted[..., 2] < max_range)
-    return Comparison(
-        comparison.span_s,
-        comparison.predicted,
-        np.where(near[..., None], comparison.residual, np.nan),
-        comparison.J,
-        comparison.S,
-    )
+    return replace(comparison, residual=np.where(near[..., None], comparison.residual, np.nan))
 
 
 def _only_rejected(verdict: Verdict, inlier: BoolArray) -> Verdict:
