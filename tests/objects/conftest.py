@@ -1,0 +1,90 @@
+"""A car's stereo rig on a known path, and what it measures of points at rest or in motion."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.triangulation import project_stereo
+from ovmot.types import PoseWindow
+
+FRAME_NS = 100_000_000
+
+
+@pytest.fixture(scope="session")
+def rig() -> StereoRig:
+    """640x280, 408 px, 0.475 m; the cameras' axes are neither the IMU's nor each other's."""
+    left = Camera.make((640, 280), (408.0, 406.0), (304.0, 131.0))
+    right = Camera.make((640, 280), (407.0, 404.0), (307.0, 125.0))
+    R_imu_cam = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    tilt = so3.exp(np.array([0.02, -0.03, 0.01]))
+    T_imu_cam0 = se3.make(R_imu_cam @ tilt, np.array([1.7, 0.2, 0.1]))
+    turn = so3.exp(np.array([-0.003, 0.005, 0.009]))
+    T_cam0_cam1 = se3.make(turn, np.array([0.475, 0.001, -0.002]))
+    return StereoRig(left, right, T_imu_cam0, T_imu_cam0 @ T_cam0_cam1)
+
+
+@pytest.fixture(scope="session")
+def drive() -> Callable[..., FloatArray]:
+    """Poses T_world_imu (K, 4, 4) at 10 Hz: speed (m/s) along x, turn (rad/s) to the left."""
+
+    def poses(n: int, speed: float = 6.0, turn: float = 0.1) -> FloatArray:
+        t = 0.1 * np.arange(n)
+        R = so3.exp(np.stack([0.0 * t, 0.01 * t, turn * t], axis=1))
+        p = np.stack([speed * t, 0.5 * speed * turn * t**2, 0.05 * t], axis=1)
+        return se3.make(R, p)
+
+    return poses
+
+
+@pytest.fixture(scope="session")
+def measure() -> Callable[..., FloatArray]:
+    """Plane coordinates (K, N, 4) of world points (N, 3), or (K, N, 3) if they move, with noise.
+
+    `sigma_px` is the standard deviation of each pixel coordinate.
+    """
+
+    def normalized(
+        rig: StereoRig, T_world_imu: FloatArray, p_world: FloatArray, sigma_px: float,
+        rng: np.random.Generator,
+    ) -> FloatArray:  # fmt: skip
+        T_cam0_world = se3.inverse(T_world_imu @ rig.T_imu_cam0)
+        p = np.broadcast_to(p_world, (len(T_world_imu), *p_world.shape[-2:]))
+        seen, _ = project_stereo(se3.apply(T_cam0_world[:, None], p), rig.T_cam1_cam0)
+        f = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+        out: FloatArray = seen + rng.normal(0.0, 1.0, seen.shape) * sigma_px / f
+        return out
+
+    return normalized
+
+
+@pytest.fixture(scope="session")
+def window_of() -> Callable[..., PoseWindow]:
+    """A `PoseWindow` at 10 Hz of poses (K, 4, 4) and, if given, their covariance (6K, 6K)."""
+
+    def window(T_world_imu: FloatArray, covariance: FloatArray | None = None) -> PoseWindow:
+        stamps: IntArray = FRAME_NS * np.arange(1, len(T_world_imu) + 1, dtype=np.int64)
+        if covariance is None:
+            covariance = np.diag(np.tile([1e-8] * 3 + [1e-6] * 3, len(T_world_imu)))
+        return PoseWindow(stamps, T_world_imu, covariance)
+
+    return window
+
+
+@pytest.fixture(scope="session")
+def in_view() -> Callable[..., FloatArray]:
+    """World points (N, 3) that the last pose's left camera sees, `depth` metres ahead."""
+
+    def points(
+        rig: StereoRig, T_world_imu: FloatArray, n: int, depth: tuple[float, float],
+        rng: np.random.Generator,
+    ) -> FloatArray:  # fmt: skip
+        z = rng.uniform(*depth, n)
+        p = np.column_stack([rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.2, 0.2, n) * z, z])
+        return se3.apply(T_world_imu[-1] @ rig.T_imu_cam0, p)
+
+    return points
