@@ -127,7 +127,7 @@ def test_error_under_constant_rates_falls_by_the_integrators_order(
 @pytest.mark.parametrize(("name", "order"), [("discrete", 2), ("rk4", 4)])
 def test_rotation_under_linear_rates_falls_by_the_integrators_order(name: str, order: int) -> None:
     def rates(t: FloatArray) -> FloatArray:
-        return np.array([1.0, -2.0, 0.5]) + t[:, None] * np.array([-3.0, 4.0, 6.0])
+        return np.asarray([1.0, -2.0, 0.5] + t[:, None] * np.array([-3.0, 4.0, 6.0]))
 
     def turned(n: int, integrator: str) -> FloatArray:
         t = np.linspace(0.0, 0.8, n + 1)
