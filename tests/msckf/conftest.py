@@ -142,3 +142,24 @@ def make_state() -> Callable[..., State]:
         )  # fmt: skip
 
     return make
+
+
+@pytest.fixture(scope="session")
+def start_error() -> Callable[[ImuState, ImuState], FloatArray]:
+    """A function (truth, estimate) to the error (15,) of a start, whose heading is arbitrary."""
+
+    def error(truth: ImuState, estimate: ImuState) -> FloatArray:
+        E = truth.R_world_imu @ estimate.R_world_imu.T
+        yaw = np.arctan2(E[1, 0] - E[0, 1], E[0, 0] + E[1, 1])
+        turn = so3.exp(np.array([0.0, 0.0, -yaw]))
+        return np.concatenate(
+            [
+                so3.log(estimate.R_world_imu.T @ turn @ truth.R_world_imu),
+                -estimate.position,  # the world begins at the rig
+                turn @ truth.velocity - estimate.velocity,
+                truth.gyro_bias - estimate.gyro_bias,
+                truth.accel_bias - estimate.accel_bias,
+            ]
+        )
+
+    return error
