@@ -42,12 +42,12 @@ class TrackerSettings(_Section):
     """Features kept alive in the left image."""
     min_distance_px: float = Field(12.0, ge=2.0)
     """New corners keep this distance from each other and from tracked features."""
-    fast_threshold: int = Field(20, ge=1, le=255)
+    fast_threshold: int = Field(15, ge=1, le=255)
     """Contrast in grey levels that FAST asks of a corner."""
     grid_cell_px: int = Field(64, ge=8)
     """Side of the image cells over which corners are spread evenly."""
-    equalization: Literal["histogram", "clahe", "none"] = "histogram"
-    """Contrast correction before matching: whole-image histogram, local (CLAHE), or none."""
+    equalization: Literal["histogram", "linear", "clahe", "none"] = "linear"
+    """Contrast correction before matching: one gain, the histogram, local (CLAHE), or none."""
     klt_window_px: int = Field(11, ge=5, le=51)
     """Side of the patch that optical flow compares."""
     klt_levels: int = Field(4, ge=1, le=8)

@@ -8,6 +8,7 @@ from ovmot.config import TrackerSettings
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 
 _BORDER_PX = 8
+_CELL_EXCESS = 2  # times its even share that a cell may fill: sky leaves others empty
 
 
 def detect_corners(
@@ -15,8 +16,8 @@ def detect_corners(
 ) -> FloatArray:
     """Up to `n_wanted` new corners (M, 2), strongest first, away from `existing` (N, 2).
 
-    E. Rosten & T. Drummond, ECCV 2006. Each grid cell may fill up to its even share of
-    `max_features`; no two corners come nearer than `min_distance_px`.
+    E. Rosten & T. Drummond, ECCV 2006. Each grid cell may fill up to twice its even share
+    of `max_features`; no two corners come nearer than `min_distance_px`.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
@@ -84,7 +85,7 @@ def _cells_and_room(
         row = np.clip(uv[:, 1].astype(np.int64) // side, 0, rows - 1)
         return row * columns + column
 
-    share = -(-settings.max_features // (columns * rows))
+    share = -(-_CELL_EXCESS * settings.max_features // (columns * rows))
     filled = np.bincount(cell_of(existing), minlength=rows * columns)
     return cell_of(points), share - filled
 
