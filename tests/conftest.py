@@ -1,5 +1,9 @@
 """Fixtures that tests of several folders share."""
 
+# isort: off
+import ovmot  # noqa: F401 - before NumPy, so that BLAS runs one thread, as it does in a run
+
+# isort: on
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -103,3 +107,46 @@ def _columns(texture: FloatArray, u: float, count: int) -> FloatArray:
         :, i + 1 : stop + 1 : _FINE
     ]
     return out
+
+
+EUROC_START_NS = 1_403_636_580_000_000_000
+
+_SENSOR = """\
+T_BS: {{cols: 4, rows: 4, data: {matrix}}}
+resolution: [320, 240]
+camera_model: pinhole
+intrinsics: [200.0, 200.0, 159.5, 119.5]
+distortion_model: radial-tangential
+distortion_coefficients: [0.0, 0.0, 0.0, 0.0]
+"""
+
+
+@pytest.fixture
+def painted_euroc(
+    tmp_path: Path, painted_rig: StereoRig, painted_pair: Callable[..., StereoFrame]
+) -> Path:
+    """A EuRoC folder of 12 pairs in 1.1 s: the rig stands, the painted body crosses at 1.5 m/s."""
+    root = tmp_path / "painted" / "mav0"
+    stamps = [EUROC_START_NS + 10**8 * i for i in range(12)]
+    mounts = (painted_rig.T_imu_cam0, painted_rig.T_imu_cam1)
+    for name, mount in zip(("cam0", "cam1"), mounts, strict=True):
+        (root / name / "data").mkdir(parents=True)
+        listed = "".join(f"{stamp},{stamp}.png\n" for stamp in stamps)
+        (root / name / "data.csv").write_text(f"#timestamp [ns],filename\n{listed}")
+        matrix = mount.ravel().tolist()
+        (root / name / "sensor.yaml").write_text(_SENSOR.format(matrix=matrix))
+    for i, stamp in enumerate(stamps):
+        pair = painted_pair(stamp, 0.0, 0.15 * i)
+        cv2.imwrite(str(root / "cam0" / "data" / f"{stamp}.png"), pair.left)
+        cv2.imwrite(str(root / "cam1" / "data" / f"{stamp}.png"), pair.right)
+    (root / "imu0").mkdir()
+    rng = np.random.default_rng(0)
+    rates = rng.normal(0.0, 1e-3, (241, 6)) + [0.0, 0.0, 0.0, 0.0, 0.0, 9.81]
+    rows = [
+        f"{stamps[0] - 10_000_000 + 5_000_000 * k}," + ",".join(f"{x:.9f}" for x in row)
+        for k, row in enumerate(rates.tolist())
+    ]
+    (root / "imu0" / "data.csv").write_text(
+        "#timestamp [ns],w,w,w,a,a,a\n" + "\n".join(rows) + "\n"
+    )
+    return root.parent

@@ -1,0 +1,398 @@
+"""The pipeline on painted pictures: order of events, the filter, given poses, refused matches."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import Settings
+from ovmot.errors import DatasetError, OvmotError
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.given_ego import GivenEgo, GivenStart
+from ovmot.msckf import correction
+from ovmot.msckf.ego import FilterEgo
+from ovmot.msckf.start import FilterStart
+from ovmot.msckf.state import State
+from ovmot.pipeline import Pipeline, camera_motion
+from ovmot.tracks import TrackTable
+from ovmot.types import (
+    Event,
+    FrameResult,
+    ImuNoise,
+    ImuSample,
+    PointLabel,
+    PoseWindow,
+    StereoFrame,
+    StereoMatches,
+)
+
+Pair = Callable[..., StereoFrame]
+ORIGIN_NS = 1_500_000_000_000_000_000
+NOISE = ImuNoise(1e-4, 1e-5, 1e-3, 1e-4)
+REST_S = 0.7
+SETTINGS = Settings.model_validate(
+    {
+        "tracker": {
+            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
+            "grid_cell_px": 64, "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+        },
+        "epipolar": {"threshold_px": 1.5, "scale": "angle"},
+        "filter": {
+            "max_clones": 6, "pixel_sigma": 0.5, "estimate_time_offset": False,
+            "gravity_mps2": 9.81,
+        },
+        "initialization": {"window_s": 0.5},
+        "split": {"test": "covariance", "candidates": "tracked", "pixel_sigma": 0.3},
+    }
+)  # fmt: skip
+
+
+def sideways(t: float) -> tuple[float, float]:
+    """Position and acceleration along y, s after the origin: at rest, then off to the left."""
+    tau = max(t - REST_S, 0.0)
+    return 1.5 / np.pi * (tau - np.sin(np.pi * tau) / np.pi), 1.5 * np.sin(np.pi * tau)
+
+
+def frames_of(pair: Pair, n: int, *, body_mps: float = 0.0, lift: int = 0) -> list[StereoFrame]:
+    return [
+        pair(ORIGIN_NS + 10**8 * i, sideways(0.1 * i)[0], body_mps * 0.1 * i, lift)
+        for i in range(n)
+    ]
+
+
+def imu_of(seconds: float) -> list[ImuSample]:
+    """200 Hz from 20 ms before the first frame, with a little noise."""
+    rng = np.random.default_rng(0)
+    out = []
+    for k in range(-4, round(200 * seconds) + 1):
+        accel = np.array([0.0, sideways(k / 200.0)[1], 9.81]) + rng.normal(0.0, 0.01, 3)
+        stamp = ORIGIN_NS + 5_000_000 * k
+        out.append(ImuSample(stamp, rng.normal(0.0, 1e-3, 3), accel))
+    return out
+
+
+def merged(frames: Sequence[StereoFrame], imu: Sequence[ImuSample]) -> list[Event]:
+    """In time order, the IMU first where stamps are equal."""
+    return sorted([*imu, *frames], key=lambda e: (e.timestamp_ns, isinstance(e, StereoFrame)))
+
+
+def with_filter(rig: StereoRig) -> Pipeline:
+    return Pipeline(rig, SETTINGS, FilterStart(rig, NOISE, SETTINGS))
+
+
+def with_poses(rig: StereoRig, frames: Sequence[StereoFrame]) -> Pipeline:
+    stamps = np.array([f.timestamp_ns for f in frames])
+    positions = [[0.0, sideways(1e-9 * (int(s) - ORIGIN_NS))[0], 0.0] for s in stamps]
+    T = se3.make(np.broadcast_to(np.eye(3), (len(stamps), 3, 3)), np.array(positions))
+    return Pipeline(rig, SETTINGS, GivenStart(GivenEgo(stamps, T, rig, SETTINGS.given_ego)))
+
+
+def run(pipeline: Pipeline, events: Sequence[Event]) -> list[FrameResult]:
+    try:
+        return list(itertools.chain.from_iterable(pipeline.feed(event) for event in events))
+    finally:
+        pipeline.close()
+
+
+@pytest.fixture(scope="module")
+def drive(painted_pair: Pair) -> tuple[list[StereoFrame], list[ImuSample]]:
+    return frames_of(painted_pair, 20), imu_of(2.0)
+
+
+@pytest.fixture(scope="module")
+def driven(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]]
+) -> list[FrameResult]:
+    return run(with_filter(painted_rig), merged(*drive))
+
+
+def test_the_filter_starts_at_rest_and_follows_the_motion(driven: list[FrameResult]) -> None:
+    assert driven[0].timestamp_ns <= ORIGIN_NS + 700_000_000
+    assert driven[0].ego.standing
+    for before, after in itertools.pairwise(driven):
+        assert after.timestamp_ns == before.timestamp_ns + 10**8
+    last = driven[-1]
+    assert last.timestamp_ns == ORIGIN_NS + 1_900_000_000
+    assert not last.ego.standing
+    truth = [0.0, sideways(1.9)[0], 0.0]
+    np.testing.assert_allclose(last.ego.T_world_imu[:3, 3], truth, atol=0.03)
+    np.testing.assert_allclose(last.ego.T_world_imu[:3, :3], np.eye(3), atol=0.01)
+    assert (np.linalg.eigvalsh(last.ego.covariance) > 0.0).all()
+    static = last.points.label == int(PointLabel.STATIC)
+    assert static.sum() > 30
+    assert not (last.points.label == int(PointLabel.DYNAMIC)).any()
+    assert set(last.milliseconds) == {"predict", "match", "split", "correct", "forget"}
+
+
+def assert_same(a: Sequence[FrameResult], b: Sequence[FrameResult]) -> None:
+    assert [r.timestamp_ns for r in a] == [r.timestamp_ns for r in b]
+    for x, y in zip(a, b, strict=True):
+        np.testing.assert_array_equal(x.ego.T_world_imu, y.ego.T_world_imu)
+        np.testing.assert_array_equal(x.ego.covariance, y.ego.covariance)
+        np.testing.assert_array_equal(x.points.pixels, y.points.pixels)
+        np.testing.assert_array_equal(x.points.label, y.points.label)
+
+
+def test_two_runs_are_equal_bit_for_bit(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]],
+    driven: list[FrameResult],
+) -> None:  # fmt: skip
+    assert_same(run(with_filter(painted_rig), merged(*drive)), driven)
+
+
+def test_any_order_that_keeps_each_kind_in_time_gives_the_same(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]],
+    driven: list[FrameResult],
+) -> None:  # fmt: skip
+    frames, imu = drive
+    assert_same(run(with_filter(painted_rig), [*frames, *imu]), driven)
+    events: list[Event] = [*imu, *frames]
+    late = sorted(events, key=lambda e: e.timestamp_ns + 230_000_000 * isinstance(e, ImuSample))
+    assert_same(run(with_filter(painted_rig), late), driven)
+
+
+def test_a_frame_waits_for_its_imu(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]],
+    driven: list[FrameResult],
+) -> None:  # fmt: skip
+    frames, imu = drive
+    pipeline = with_filter(painted_rig)
+    for frame in frames:
+        assert pipeline.feed(frame) == []
+    when: dict[int, int] = {}
+    for sample in imu:
+        for result in pipeline.feed(sample):
+            when[result.timestamp_ns] = sample.timestamp_ns
+    pipeline.close()
+    assert pipeline.dropped == 0
+    assert list(when) == [r.timestamp_ns for r in driven]
+    for frame_ns, sample_ns in when.items():
+        assert 0 <= sample_ns - frame_ns < 5_000_000 or frame_ns == driven[0].timestamp_ns
+
+
+def test_frames_never_covered_are_counted(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]]
+) -> None:
+    frames, imu = drive
+    end = frames[-3].timestamp_ns + 50_000_000
+    pipeline = with_filter(painted_rig)
+    results = run(pipeline, merged(frames, [s for s in imu if s.timestamp_ns <= end]))
+    assert results[-1].timestamp_ns == frames[-3].timestamp_ns
+    assert pipeline.dropped == 2
+
+
+def test_stamps_must_rise(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]]
+) -> None:
+    frames, imu = drive
+    pipeline = with_filter(painted_rig)
+    pipeline.feed(frames[1])
+    for late in (frames[0], frames[1]):
+        with pytest.raises(DatasetError, match=f"frame stamp {late.timestamp_ns} does not follow"):
+            pipeline.feed(late)
+    pipeline.feed(imu[5])
+    for sample in (imu[4], imu[5]):
+        with pytest.raises(DatasetError, match=f"IMU stamp {sample.timestamp_ns} does not follow"):
+            pipeline.feed(sample)
+    pipeline.close()
+
+
+def test_without_a_start_it_says_why(painted_rig: StereoRig, painted_pair: Pair) -> None:
+    pipeline = with_filter(painted_rig)
+    shaken = [ImuSample(s.timestamp_ns, s.gyro, s.accel * (1.0 + 0.2 * (i % 2)))
+              for i, s in enumerate(imu_of(0.7))]  # fmt: skip
+    assert run(pipeline, merged(frames_of(painted_pair, 7), shaken)) == []
+    assert "accelerometer varies" in pipeline.not_started_because
+
+
+def test_given_poses_need_no_imu_and_find_the_moving_body(
+    painted_rig: StereoRig, painted_pair: Pair
+) -> None:
+    frames = frames_of(painted_pair, 14, body_mps=1.5)
+    results = run(with_poses(painted_rig, frames), frames)
+    assert len(results) == 14
+    for frame, result in zip(frames, results, strict=True):
+        assert result.timestamp_ns == frame.timestamp_ns
+        y = sideways(1e-9 * (frame.timestamp_ns - ORIGIN_NS))[0]
+        np.testing.assert_allclose(result.ego.T_world_imu[:3, 3], [0.0, y, 0.0], atol=1e-12)
+    last = results[-1].points
+    t = 1.3
+    u = 120.0 + 200.0 * (sideways(t)[0] - 1.5 * t) / 6.0
+    inside = (
+        (np.abs(last.pixels[:, 0] - u - 40.0) < 36.0) & (np.abs(last.pixels[:, 1] - 120.0) < 36.0)
+    )  # fmt: skip
+    outside = (np.abs(last.pixels[:, 0] - u - 40.0) > 50.0) | (
+        np.abs(last.pixels[:, 1] - 120.0) > 50.0
+    )
+    dynamic = last.label == int(PointLabel.DYNAMIC)
+    judged = last.label != int(PointLabel.UNKNOWN)
+    assert (inside & judged).sum() >= 4
+    assert dynamic[inside & judged].mean() > 0.8
+    assert dynamic[outside & judged].mean() < 0.05
+
+
+def test_no_update_ever_uses_a_feature_once_it_was_found_to_move(
+    painted_rig: StereoRig, painted_pair: Pair, spy: "UpdateSpy"
+) -> None:
+    frames = frames_of(painted_pair, 20, body_mps=1.5)
+    pipeline = with_filter(painted_rig)
+    gone: set[tuple[float, ...]] = set()
+    history: dict[int, set[tuple[float, ...]]] = {}
+    n_dynamic = 0
+    for event in merged(frames, imu_of(2.0)):
+        spy.pixels.clear()
+        for result in pipeline.feed(event):
+            points = result.points
+            for feature, uv in zip(points.feature_id.tolist(), points.pixels.tolist(), strict=True):
+                history.setdefault(feature, set()).add(tuple(uv[:2]))
+            moving = points.feature_id[points.label == int(PointLabel.DYNAMIC)].tolist()
+            n_dynamic += len(moving)
+            for feature in moving:
+                gone |= history[feature]
+            assert not {row[:2] for row in spy.rows()} & gone
+    pipeline.close()
+    assert n_dynamic > 30
+    assert spy.calls > 3
+
+
+@dataclass
+class UpdateSpy:
+    """What `update_with_tracks` was given, in this frame, and how often it was called."""
+
+    pixels: list[FloatArray]
+    normalized: list[FloatArray]
+    calls: int = 0
+
+    def rows(self) -> list[tuple[float, ...]]:
+        """All observations (u, v, u_right, v_right), those of the left camera alone too."""
+        every = [tuple(r) for p in self.pixels for r in p.reshape(-1, 4).tolist()]
+        return [row for row in every if np.isfinite(row[0])]
+
+
+@pytest.fixture
+def spy(monkeypatch: pytest.MonkeyPatch) -> UpdateSpy:
+    """Sits in the one door through which features enter the filter."""
+    seen = UpdateSpy([], [])
+    true_update = correction.update_with_tracks
+
+    def update(
+        state: State, rig: StereoRig, pixels: FloatArray, normalized: FloatArray, *rest: object
+    ) -> State:
+        seen.pixels.append(pixels)
+        seen.normalized.append(normalized)
+        seen.calls += 1
+        return true_update(state, rig, pixels, normalized, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(correction, "update_with_tracks", update)
+    return seen
+
+
+def test_a_refused_right_observation_never_reaches_the_filter(
+    painted_rig: StereoRig, painted_pair: Pair, spy: UpdateSpy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Part of the right picture stands 6 px too high: its matches break the epipolar constraint.
+
+    None of them is in a result, in the track table or in what the filter is given, in no frame;
+    their left halves are.
+    """
+    tables: list[TrackTable] = []
+    true_correct = FilterEgo.correct
+
+    def correct(ego: FilterEgo, table: TrackTable, moving: object) -> object:
+        tables.append(table)
+        return true_correct(ego, table, moving)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(FilterEgo, "correct", correct)
+    frames = frames_of(painted_pair, 20, lift=6)
+    pipeline = with_filter(painted_rig)
+    tested = _spy_on_matches(pipeline, monkeypatch)
+    results = run(pipeline, merged(frames, imu_of(2.0)))
+    pairs = [tuple(row) for m in tested for row in m.pixels[~m.accepted].tolist()]
+    accepted = {tuple(row) for m in tested for row in m.pixels[m.accepted].tolist()}
+    refused_right = {row[2:] for row in pairs}
+    refused_left = {row[:2] for row in pairs}
+    assert len(refused_right) > 60
+    assert len(tested) == 20
+
+    in_results = {tuple(row[2:]) for r in results for row in r.points.pixels.tolist()}
+    assert not refused_right & in_results
+    in_tables = {tuple(row[2:]) for t in tables for row in t.pixels.reshape(-1, 4).tolist()}
+    assert not refused_right & in_tables
+    in_planes = {tuple(row[2:]) for t in tables for row in t.normalized.reshape(-1, 4).tolist()}
+    given_planes = {tuple(row[2:]) for n in spy.normalized for row in n.reshape(-1, 4).tolist()}
+    plane = {
+        tuple(xy) for xy in painted_rig.cam1.normalize(np.array(sorted(refused_right))).tolist()
+    }
+    assert not plane & in_planes
+    assert not plane & given_planes
+
+    given = spy.rows()
+    assert len(given) > 100
+    for row in given:
+        assert row[2:] not in refused_right
+        assert not np.isfinite(row[2]) or row in accepted
+    mono = {row[:2] for row in given if not np.isfinite(row[2])}
+    assert len(mono & refused_left) > 5  # the left half lives on and helps the filter
+    lifted = [p.p_cam0 for r in results for p in (r.points,)]
+    assert all(
+        np.isnan(p[~np.isfinite(r.points.pixels[:, 2])]).all()
+        for p, r in zip(lifted, results, strict=True)
+    )
+
+
+def _spy_on_matches(pipeline: Pipeline, monkeypatch: pytest.MonkeyPatch) -> list[StereoMatches]:
+    """The `StereoMatches` of every frame, also of those before the start."""
+    tested: list[StereoMatches] = []
+    tracker = pipeline._tracker
+    true_track = tracker.track
+
+    def track(frame: StereoFrame, T_now_before: FloatArray) -> object:
+        seen, matches = true_track(frame, T_now_before)
+        tested.append(matches)
+        return seen, matches
+
+    monkeypatch.setattr(tracker, "track", track)
+    return tested
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [np.linalg.LinAlgError("17-th leading minor not positive definite"),
+     ValueError("array must not contain infs or NaNs"), FloatingPointError("overflow")],
+)  # fmt: skip
+def test_a_numerical_failure_names_the_frame(
+    painted_rig: StereoRig, drive: tuple[list[StereoFrame], list[ImuSample]],
+    monkeypatch: pytest.MonkeyPatch, failure: Exception,
+) -> None:  # fmt: skip
+    frames, imu = drive
+
+    def fail(*_: object, **__: object) -> State:
+        raise failure
+
+    monkeypatch.setattr(correction, "update_with_tracks", fail)
+    pipeline = with_filter(painted_rig)
+    done: list[FrameResult] = []
+    with pytest.raises(OvmotError) as caught:
+        for event in merged(frames, imu):
+            done += pipeline.feed(event)
+    pipeline.close()
+    assert len(done) >= 1
+    stamp = done[-1].timestamp_ns + 10**8
+    assert str(caught.value) == f"the estimate broke down at frame {stamp} ns: {failure}"
+
+
+def test_camera_motion_maps_the_earlier_camera_into_the_present_one(
+    painted_rig: StereoRig,
+) -> None:
+    """Going 0.2 m to the left, what was straight ahead is 0.2 m to the right (+x)."""
+    T = np.stack([np.eye(4)] * 3)
+    T[2, 1, 3] = 0.2
+    window = PoseWindow(np.array([1, 2, 3]), T, np.zeros((18, 18)))
+    moved = se3.apply(camera_motion(window, painted_rig), np.array([0.0, 0.0, 5.0]))
+    np.testing.assert_allclose(moved, [0.2, 0.0, 5.0], atol=1e-12)
+    one = PoseWindow(np.array([1]), T[:1], np.zeros((6, 6)))
+    np.testing.assert_array_equal(camera_motion(one, painted_rig), np.eye(4))
