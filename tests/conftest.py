@@ -119,6 +119,13 @@ intrinsics: [200.0, 200.0, 159.5, 119.5]
 distortion_model: radial-tangential
 distortion_coefficients: [0.0, 0.0, 0.0, 0.0]
 """
+_IMU = """\
+T_BS: {cols: 4, rows: 4, data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}
+gyroscope_noise_density: 1.0e-4
+gyroscope_random_walk: 1.0e-5
+accelerometer_noise_density: 1.0e-3
+accelerometer_random_walk: 1.0e-4
+"""
 
 
 @pytest.fixture
@@ -141,7 +148,8 @@ def painted_euroc(
         cv2.imwrite(str(root / "cam1" / "data" / f"{stamp}.png"), pair.right)
     (root / "imu0").mkdir()
     rng = np.random.default_rng(0)
-    rates = rng.normal(0.0, 1e-3, (241, 6)) + [0.0, 0.0, 0.0, 0.0, 0.0, 9.81]
+    rates = rng.normal(0.0, 1e-3, (241, 6))
+    rates[:, 5] += 9.81
     rows = [
         f"{stamps[0] - 10_000_000 + 5_000_000 * k}," + ",".join(f"{x:.9f}" for x in row)
         for k, row in enumerate(rates.tolist())
@@ -149,4 +157,5 @@ def painted_euroc(
     (root / "imu0" / "data.csv").write_text(
         "#timestamp [ns],w,w,w,a,a,a\n" + "\n".join(rows) + "\n"
     )
+    (root / "imu0" / "sensor.yaml").write_text(_IMU)
     return root.parent
