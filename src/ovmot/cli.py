@@ -137,7 +137,8 @@ class _FramesPerSecond(ProgressColumn):
 def _progress(total: int) -> Iterator[Callable[[int], None]]:
     console = Console(stderr=True)
     columns = (TextColumn("ovmot"), BarColumn(), MofNCompleteColumn(), _FramesPerSecond())
-    with Progress(*columns, console=console) as bar:
+    # into a file, a bar would only be a broken line before the messages
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("run", total=total)
         yield lambda done: bar.update(task, completed=done)
 

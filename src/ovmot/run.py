@@ -136,9 +136,13 @@ def _feed_all(
 
 def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> Iterator[Event]:
     """The events, without the frames for which a pose file has no pose; those are counted."""
-    posed = set(start.ego.pose_ns.tolist()) if isinstance(start, GivenStart) else None
+    if not isinstance(start, GivenStart):
+        yield from stream
+        return
+    counts["frames_without_pose"] = 0
+    posed = set(start.ego.pose_ns.tolist())
     for event in stream:
-        if posed is None or not isinstance(event, StereoFrame) or event.timestamp_ns in posed:
+        if not isinstance(event, StereoFrame) or event.timestamp_ns in posed:
             yield event
         else:
             counts["frames_without_pose"] += 1

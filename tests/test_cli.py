@@ -1,0 +1,254 @@
+"""The command line: exit codes, and one line for each mistake."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ovmot
+from ovmot import cli
+from ovmot.config import describe_settings
+from ovmot.errors import OvmotError
+from ovmot.formats import ns_to_seconds
+from ovmot.msckf import correction
+from ovmot.outputs.run_writer import RunWriter
+from ovmot.types import FrameResult
+
+START_NS = 1_403_636_580_000_000_000
+STAMPS = [START_NS + 10**8 * i for i in range(12)]
+FAST = [
+    "--set", "tracker.max_features=80", "--set", "tracker.fast_threshold=12",
+    "--set", "tracker.equalization=none",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def complaint(self) -> str:
+        """The one line that says what is wrong; nothing else may stand there."""
+        lines = self.err.splitlines()
+        assert len(lines) == 1, self.err
+        return lines[0]
+
+
+@pytest.fixture
+def ovmot_command(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Outcome]:
+    """Runs `ovmot` with these arguments in this process."""
+
+    def command(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["ovmot", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capfd.readouterr()
+        code = ended.value.code
+        return Outcome(code if isinstance(code, int) else int(code is not None), *captured)
+
+    return command
+
+
+Command = Callable[..., Outcome]
+
+
+def whole_rows(path: Path) -> int:
+    """Number of rows of a csv file, all whole."""
+    text = path.read_text()
+    assert text.endswith("\n")
+    header, *rows = text.splitlines()
+    assert all(row.count(",") == header.count(",") for row in rows)
+    return len(rows)
+
+
+def test_version(ovmot_command: Command) -> None:
+    outcome = ovmot_command("--version")
+    assert (outcome.code, outcome.out) == (0, f"ovmot {ovmot.__version__}\n")
+
+
+def test_settings_lists_every_key(ovmot_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    outcome = ovmot_command("settings")
+    assert outcome.code == 0
+    for key, _, default, _ in describe_settings():
+        line = next(line for line in outcome.out.splitlines() if f" {key} " in line)
+        assert f" {default} " in line
+
+
+def test_a_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", "--save-points", *FAST)
+    assert outcome.code == 0, outcome.err
+    found = re.match(r"(\d+) frames in [\d.]+ s \([\d.]+ frames/s\) -> ", outcome.out)
+    assert found is not None
+    assert int(found.group(1)) == whole_rows(tmp_path / "out" / "state.csv") >= 6
+    assert whole_rows(tmp_path / "out" / "points.csv") > 100
+    told = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert told["settings"]["tracker"]["max_features"] == 80
+
+
+def test_ego_poses_from_tum_and_kitti(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path
+) -> None:
+    tum, kitti = tmp_path / "poses.tum", tmp_path / "0000.txt"
+    tum.write_text("".join(f"{ns_to_seconds(t)} 0 0 0 0 0 0 1\n" for t in STAMPS[2:]))
+    kitti.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 12)
+    for poses, n in ((tum, 10), (kitti, 12)):
+        out = tmp_path / poses.stem
+        outcome = ovmot_command("run", painted_euroc, "-o", out, "--ego", "poses", poses, *FAST)
+        assert outcome.code == 0, outcome.err
+        assert whole_rows(out / "state.csv") == n
+        if n == 10:
+            assert f"{tum}: frames for which it has no pose: left out (2)" in outcome.complaint
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--set", "tracker.max_feature=80"], "unknown setting 'tracker.max_feature'"),
+        (["--set", "tracker.max_features=many"], "'tracker.max_features'"),
+        (["--set", "tracker.max_features"], "section.key=value"),
+        (["--config", "nowhere.yaml"], "nowhere.yaml"),
+        (["--format", "rosbag"], "--format rosbag: unknown; known: euroc, kaist, kitti"),
+        (["--ego", "filter", "x"], "--ego filter: unknown; write --ego poses FILE"),
+        (["--ego", "poses", "nowhere.txt"], "nowhere.txt"),
+        (["--calibration", "nowhere.yaml"], "nowhere.yaml"),
+        (["--first", "12"], "the sequence has frames 0 to 11"),
+        (["--sequence", "0010"], "--sequence 0010"),
+    ],
+)
+def test_a_wrong_argument_is_one_line_and_exit_code_2(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *arguments)
+    assert outcome.code == 2
+    assert message in outcome.complaint
+    assert outcome.complaint.startswith("ovmot: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_folder(ovmot_command: Command, tmp_path: Path) -> None:
+    outcome = ovmot_command("run", tmp_path / "nothing", "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert f"{tmp_path / 'nothing'}: no such folder" in outcome.complaint
+
+
+def test_usage_errors_are_exit_code_2(ovmot_command: Command, tmp_path: Path) -> None:
+    assert ovmot_command("run").code == 2
+    assert ovmot_command("fly").code == 2
+    assert ovmot_command("run", tmp_path, "-o", tmp_path, "--first", "-1").code == 2
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty"])
+def test_a_broken_image_in_the_middle(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path, damage: str
+) -> None:
+    image = painted_euroc / "mav0" / "cam0" / "data" / f"{STAMPS[9]}.png"
+    image.write_bytes(image.read_bytes()[:2000] if damage == "truncated" else b"")
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *FAST)
+    assert outcome.code == 2
+    assert str(image) in outcome.complaint
+    assert damage in outcome.complaint
+    assert 1 <= whole_rows(tmp_path / "out" / "state.csv") <= 9
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["ended"].startswith("failed")
+
+
+def test_a_broken_imu_row(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:
+    path = painted_euroc / "mav0" / "imu0" / "data.csv"
+    rows = path.read_text().splitlines()
+    rows[50] = rows[50].rsplit(",", 1)[0] + ",abc"
+    path.write_text("\n".join(rows) + "\n")
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert f"{path}, row 51: 'abc' is not a number" in outcome.complaint
+
+
+def test_an_existing_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:
+    arguments = ("run", painted_euroc, "-o", tmp_path / "out", *FAST)
+    assert ovmot_command(*arguments).code == 0
+    outcome = ovmot_command(*arguments)
+    assert outcome.code == 2
+    assert "--force" in outcome.complaint
+    assert ovmot_command(*arguments, "--force").code == 0
+
+
+def test_a_numerical_failure_is_exit_code_1(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(correction, "update_with_tracks", fail)
+    monkeypatch.setattr(correction, "_MIN_VIEWS", 1)  # a standing rig ends few features
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *FAST)
+    assert outcome.code == 1
+    assert re.search(r"broke down at frame \d{19} ns: Matrix is not", outcome.complaint)
+
+
+def test_an_interruption_is_exit_code_130(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true_write = RunWriter.write
+
+    def write(self: RunWriter, result: FrameResult) -> None:
+        if self.frames_written == 3:
+            raise KeyboardInterrupt
+        true_write(self, result)
+
+    monkeypatch.setattr(RunWriter, "write", write)
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *FAST)
+    assert outcome.code == 130
+    assert "interrupted; what was done until here is written whole" in outcome.complaint
+    assert whole_rows(tmp_path / "out" / "state.csv") == 3
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["ended"] == "interrupted"
+
+
+def test_a_full_disk_is_exit_code_1(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(self: RunWriter, result: FrameResult) -> None:
+        raise OvmotError("state.csv: cannot write any further: No space left on device")
+
+    monkeypatch.setattr(RunWriter, "write", write)
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *FAST)
+    assert outcome.code == 1
+    assert "No space left on device" in outcome.complaint
+
+
+def test_ctrl_c_on_the_real_process(painted_euroc: Path, tmp_path: Path) -> None:
+    """The signal comes while frames are being written."""
+    out = tmp_path / "out"
+    slow = (
+        "import time; from ovmot.outputs.run_writer import RunWriter; w = RunWriter.write\n"
+        "def slow(self, result): w(self, result); time.sleep(0.3)\n"
+        "RunWriter.write = slow\n"
+        "from ovmot.cli import main; main()"
+    )
+    arguments = ["run", str(painted_euroc), "-o", str(out), *FAST]
+    process = subprocess.Popen(
+        [sys.executable, "-c", slow, *arguments], stderr=subprocess.PIPE, text=True
+    )
+    state, deadline = out / "state.csv", time.monotonic() + 30.0
+    while time.monotonic() < deadline and process.poll() is None:
+        if state.exists() and state.read_text().count("\n") >= 3:
+            break
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30.0)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert whole_rows(state) >= 2
+    assert json.loads((out / "run.json").read_text())["ended"] == "interrupted"

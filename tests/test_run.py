@@ -1,0 +1,273 @@
+"""A run from a folder to its files."""
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ovmot import run as run_module
+from ovmot.config import Settings
+from ovmot.datasets.registry import open_sequence
+from ovmot.errors import DatasetError, InputError, OvmotError
+from ovmot.formats import ns_to_seconds
+from ovmot.geometry import se3
+from ovmot.given_ego import GivenStart
+from ovmot.pipeline import Pipeline
+from ovmot.run import RunOptions, imu_noise, run_sequence
+from ovmot.types import Event, FrameResult, ImuNoise
+
+SETTINGS = Settings.model_validate(
+    {
+        "tracker": {
+            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
+            "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+        },
+        "initialization": {"window_s": 0.5},
+        "split": {"pixel_sigma": 0.3},
+    }
+)  # fmt: skip
+START_NS = 1_403_636_580_000_000_000
+STAMPS = [START_NS + 10**8 * i for i in range(12)]
+
+
+def run(data: Path, out: Path, settings: Settings = SETTINGS, **options: Any) -> dict[str, Any]:
+    """Run and give `run.json`."""
+    run_sequence(open_sequence(data), settings, RunOptions(out, **options))
+    return described(out)
+
+
+def described(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((out / "run.json").read_text())
+    return found
+
+
+def stamps_in(path: Path) -> list[int]:
+    """The first column of a csv file, each once; all rows must be whole."""
+    text = path.read_text()
+    assert text.endswith("\n")
+    header, *rows = text.splitlines()
+    assert all(row.count(",") == header.count(",") for row in rows)
+    return sorted({int(row.split(",")[0]) for row in rows})
+
+
+def tum_of_rest(stamps: list[int]) -> str:
+    return "".join(f"{ns_to_seconds(t)} 1 2 3 0 0 0 1\n" for t in stamps)
+
+
+def test_a_run_with_the_filter(painted_euroc: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    told = run(painted_euroc, out, save_points=True)
+    assert told["ended"] == "finished"
+    counts = told["counts"]
+    assert counts["frames_read"] == 12
+    assert counts["imu_samples_read"] == 241
+    assert counts["frames_never_covered_by_imu"] == 0
+    written = stamps_in(out / "state.csv")
+    assert counts["frames_written"] == len(written)
+    assert STAMPS[-len(written) :] == written
+    assert len(written) >= 6
+    trajectory = np.loadtxt(out / "trajectory.tum")
+    assert np.abs(trajectory[:, 1:4]).max() < 0.01  # it stands
+    assert stamps_in(out / "timing.csv") == written
+    assert stamps_in(out / "stereo.csv") == written
+    points = (out / "points.csv").read_text()
+    assert ",dynamic," in points
+    assert ",static," in points
+    assert told["settings"]["tracker"]["max_features"] == 120
+    assert told["input"]["kind"] == "euroc"
+
+
+def test_the_same_run_twice_is_the_same_bytes(painted_euroc: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        run(painted_euroc, tmp_path / name, save_points=True)
+    for file in ("trajectory.tum", "state.csv", "tracks.csv", "points.csv", "stereo.csv"):
+        a, b = (tmp_path / name / file for name in ("a", "b"))
+        assert a.read_bytes() == b.read_bytes(), file
+        assert file == "tracks.csv" or a.stat().st_size > 200
+
+
+def test_without_points_those_files_are_not_there(painted_euroc: Path, tmp_path: Path) -> None:
+    run(painted_euroc, tmp_path / "out")
+    names = {p.name for p in (tmp_path / "out").iterdir()}
+    assert names == {"trajectory.tum", "state.csv", "tracks.csv", "timing.csv", "run.json"}
+
+
+def test_given_poses_of_a_tum_file(painted_euroc: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "poses.tum"
+    poses.write_text(tum_of_rest(STAMPS))
+    told = run(painted_euroc, tmp_path / "out", ego_poses=poses)
+    assert told["counts"]["frames_written"] == 12
+    assert told["counts"]["frames_without_pose"] == 0
+    assert told["warnings"] == []
+    rows = (tmp_path / "out" / "trajectory.tum").read_text().splitlines()
+    assert len([r for r in rows if not r.startswith("#")]) == 12
+    np.testing.assert_allclose(np.loadtxt(rows)[:, 1:], [[1, 2, 3, 0, 0, 0, 1]] * 12, atol=1e-9)
+
+
+def test_frames_without_a_pose_are_left_out_and_counted(
+    painted_euroc: Path, tmp_path: Path
+) -> None:
+    """The file begins at the fourth frame and has a hole; no frame gets another one's pose."""
+    poses = tmp_path / "poses.tum"
+    there = STAMPS[3:6] + STAMPS[9:]
+    lines = [f"{ns_to_seconds(t)} {i} 0 0 0 0 0 1\n" for i, t in enumerate(there)]
+    poses.write_text("".join(lines))
+    seen: list[int] = []
+    sequence = open_sequence(painted_euroc)
+    run_sequence(sequence, SETTINGS, RunOptions(tmp_path / "out", poses), seen.append)
+    told = described(tmp_path / "out")
+    assert told["counts"]["frames_without_pose"] == 6
+    assert told["counts"]["frames_written"] == 6
+    assert [w["count"] for w in told["warnings"] if "no pose" in w["message"]] == [6]
+    assert stamps_in(tmp_path / "out" / "state.csv") == there
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "out" / "trajectory.tum")[:, 1], np.arange(6))
+    assert seen[-1] == 12
+
+
+def test_given_poses_of_a_kitti_file(painted_euroc: Path, tmp_path: Path) -> None:
+    """Camera poses, a metre forward (z of the camera) in all: x of the world."""
+    poses = tmp_path / "0000.txt"
+    rows = [f"1 0 0 0 0 1 0 0 0 0 1 {i / 11:.9f}" for i in range(12)]
+    poses.write_text("\n".join(rows) + "\n")
+    run(painted_euroc, tmp_path / "out", ego_poses=poses)
+    trajectory = np.loadtxt(tmp_path / "out" / "trajectory.tum")
+    moved = trajectory[:, 1:4] - trajectory[0, 1:4]
+    np.testing.assert_allclose(moved[-1], [1.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(trajectory[:, 4:], [[0, 0, 0, 1]] * 12, atol=1e-6)
+
+
+def test_a_kitti_file_of_another_length_is_refused(painted_euroc: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "0000.txt"
+    poses.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(InputError, match="1 poses for 12 frames"):
+        run(painted_euroc, tmp_path / "out", ego_poses=poses)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_part_of_the_frames(painted_euroc: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "poses.tum"
+    poses.write_text(tum_of_rest(STAMPS))
+    run(painted_euroc, tmp_path / "out", ego_poses=poses, first=3, last=7)
+    assert stamps_in(tmp_path / "out" / "state.csv") == STAMPS[3:8]
+    with pytest.raises(DatasetError, match="frames 0 to 11"):
+        run(painted_euroc, tmp_path / "none", ego_poses=poses, first=12)
+    assert not (tmp_path / "none").exists()  # so that the corrected command needs no --force
+
+
+def test_without_imu_and_poses_it_says_what_to_give(painted_euroc: Path, tmp_path: Path) -> None:
+    sequence = replace(open_sequence(painted_euroc), imu=None)
+    with pytest.raises(InputError, match=r"has no IMU; give the ego motion by --ego poses FILE"):
+        run_sequence(sequence, SETTINGS, RunOptions(tmp_path / "out"))
+
+
+def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_path: Path) -> None:
+    restless = SETTINGS.model_copy(
+        update={
+            "initialization": SETTINGS.initialization.model_copy(update={"rest_gyro_rps": 1e-9})
+        }
+    )
+    with pytest.raises(OvmotError, match=r"never started.*gyroscope varies"):
+        run(painted_euroc, tmp_path / "out", restless)
+    told = described(tmp_path / "out")
+    assert told["counts"]["frames_written"] == 0
+    assert any("no frame has a pose" in w["message"] for w in told["warnings"])
+
+
+def stop_at(frame: int, error: BaseException) -> Callable[[int], None]:
+    """A watcher that raises when so many frames have been read."""
+
+    def on_frame(done: int) -> None:
+        if done == frame:
+            raise error
+
+    return on_frame
+
+
+@pytest.mark.parametrize(
+    ("error", "ended"),
+    [(KeyboardInterrupt(), "interrupted"), (RuntimeError("no luck"), "failed: no luck")],
+)
+def test_a_run_stopped_in_the_middle_leaves_whole_rows(
+    painted_euroc: Path, tmp_path: Path, error: BaseException, ended: str
+) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(type(error)):
+        run_sequence(
+            open_sequence(painted_euroc), SETTINGS, RunOptions(out, save_points=True),
+            stop_at(10, error),
+        )  # fmt: skip
+    told = described(out)
+    assert told["ended"] == ended
+    written = stamps_in(out / "state.csv")
+    assert told["counts"]["frames_written"] == len(written) > 0
+    for name in ("timing.csv", "points.csv", "stereo.csv"):
+        assert stamps_in(out / name) == written
+    left = [t.name for t in threading.enumerate() if t.name.startswith("ovmot")]
+    assert left == []
+
+
+def test_a_broken_image_in_the_middle_keeps_what_was_done(
+    painted_euroc: Path, tmp_path: Path
+) -> None:
+    image = painted_euroc / "mav0" / "cam1" / "data" / f"{STAMPS[9]}.png"
+    image.write_bytes(image.read_bytes()[:-100])
+    with pytest.raises(DatasetError, match=f"{STAMPS[9]}.png: the image is truncated"):
+        run(painted_euroc, tmp_path / "out")
+    told = described(tmp_path / "out")
+    assert told["ended"].startswith("failed: ")
+    assert "truncated" in told["ended"]
+    assert stamps_in(tmp_path / "out" / "state.csv")[-1] <= STAMPS[8]
+    assert told["counts"]["frames_read"] == 9
+
+
+def test_an_existing_run_is_not_overwritten(painted_euroc: Path, tmp_path: Path) -> None:
+    run(painted_euroc, tmp_path / "out")
+    before = (tmp_path / "out" / "state.csv").read_bytes()
+    with pytest.raises(InputError, match="--force"):
+        run(painted_euroc, tmp_path / "out")
+    assert (tmp_path / "out" / "state.csv").read_bytes() == before
+    assert run(painted_euroc, tmp_path / "out", force=True)["ended"] == "finished"
+
+
+def test_a_pose_that_is_not_finite_ends_the_run(
+    painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true_feed = Pipeline.feed
+
+    def feed(self: Pipeline, event: Event) -> list[FrameResult]:
+        broken = np.full((4, 4), np.nan)
+        return [
+            replace(r, ego=replace(r.ego, T_world_imu=broken)) if r.timestamp_ns > STAMPS[8] else r
+            for r in true_feed(self, event)
+        ]
+
+    monkeypatch.setattr(Pipeline, "feed", feed)
+    with pytest.raises(OvmotError, match=f"the pose at {STAMPS[9]} ns is not finite"):
+        run(painted_euroc, tmp_path / "out")
+    assert stamps_in(tmp_path / "out" / "state.csv")[-1] == STAMPS[8]
+
+
+def test_noise_of_the_imu_settings_before_data_before_defaults(painted_euroc: Path) -> None:
+    sequence = replace(open_sequence(painted_euroc), imu_noise=ImuNoise(1.0, 2.0, 3.0, 4.0))
+    told = Settings.model_validate({"imu": {"gyro_walk": 0.5}})
+    assert imu_noise(sequence, told) == ImuNoise(1.0, 0.5, 3.0, 4.0)
+    unknown = replace(sequence, imu_noise=None)
+    default = imu_noise(unknown, Settings())
+    assert default == run_module._DEFAULT_NOISE
+    assert imu_noise(unknown, told).gyro_walk == 0.5
+
+
+def test_camera_poses_are_carried_to_the_imu(painted_euroc: Path, tmp_path: Path) -> None:
+    """A pose file of the camera: the camera of the run stands where the file says."""
+    poses = tmp_path / "0000.txt"
+    poses.write_text("1 0 0 0.5 0 1 0 0 0 0 1 2\n" * 12)
+    sequence = open_sequence(painted_euroc)
+    start = run_module.make_start(sequence, SETTINGS, poses)
+    assert isinstance(start, GivenStart)
+    T_world_cam0 = start.ego.T_world_imu[0] @ sequence.rig.T_imu_cam0
+    np.testing.assert_allclose(se3.apply(T_world_cam0, np.zeros(3)), [2.0, -0.5, 0.0], atol=1e-9)
