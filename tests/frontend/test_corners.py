@@ -10,6 +10,7 @@ from ovmot.geometry.arrays import FloatArray, Image
 SETTINGS = TrackerSettings(
     max_features=80, min_distance_px=10.0, fast_threshold=15, grid_cell_px=64
 )
+MOST_IN_A_CELL = 2 * 80 // 32  # 8x4 cells of 64 px; a cell may fill up to twice its share
 NOTHING: FloatArray = np.empty((0, 2))
 
 
@@ -45,15 +46,14 @@ def test_a_corner_is_found_at_each_dot_and_nowhere_else() -> None:
 def test_corners_keep_apart(dots: Image) -> None:
     found = detect_corners(dots, NOTHING, 500, SETTINGS)
     assert len(found) > 40
-    assert nearest(found, found).min() > 9.0  # circles of rounded centres: one pixel less
+    assert nearest(found, found).min() >= 10.0
 
 
-def test_every_cell_gets_its_share_and_no_more(dots: Image) -> None:
+def test_no_cell_gets_more_than_twice_its_share(dots: Image) -> None:
     found = detect_corners(dots, NOTHING, 500, SETTINGS)
     count = np.zeros((4, 8), dtype=int)
     np.add.at(count, ((found[:, 1] // 64).astype(int), (found[:, 0] // 64).astype(int)), 1)
-    share = -(-80 // 32)
-    assert count.max() == share
+    assert count.max() == MOST_IN_A_CELL
     # the faint half gets as many as the strong one, though FAST answers less there
     assert count[:, 4:].sum() > 0.8 * count[:, :4].sum()
 
@@ -69,15 +69,17 @@ def test_existing_points_are_left_room(dots: Image) -> None:
     existing = detect_corners(dots, NOTHING, 25, SETTINGS) + 0.4
     added = detect_corners(dots, existing, 500, SETTINGS)
     assert len(added) > 10
-    assert nearest(added, existing).min() > 9.0
+    assert nearest(added, existing).min() >= 10.0
     both = np.concatenate([existing, added])
     count = np.zeros((4, 8), dtype=int)
     np.add.at(count, ((both[:, 1] // 64).astype(int), (both[:, 0] // 64).astype(int)), 1)
-    assert count.max() <= -(-80 // 32)
+    assert count.max() <= MOST_IN_A_CELL
 
 
 def test_a_full_cell_gets_none(dots: Image) -> None:
-    full = np.array([[10.0, 10.0], [10.0, 40.0], [40.0, 10.0]])
+    full = np.array([[10.0, 10.0], [10.0, 30.0], [10.0, 50.0], [30.0, 10.0], [50.0, 10.0]])
+    assert len(full) == MOST_IN_A_CELL
+    assert np.any((detect_corners(dots, full[:4], 500, SETTINGS) < 64).all(1))
     added = detect_corners(dots, full, 500, SETTINGS)
     assert not np.any((added < 64).all(1))
 

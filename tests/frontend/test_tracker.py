@@ -14,7 +14,7 @@ from ovmot.frontend import tracker as tracker_module
 from ovmot.frontend.flow import follow
 from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
 
@@ -88,11 +88,15 @@ def test_ids_are_unique_and_stay_with_their_point(driven: Seen) -> None:
         assert len(np.unique(seen.feature_id)) == len(seen)
     (first, _), (last, _) = driven[0], driven[-1]
     _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
-    assert len(a) > 40
+    u, v = first.pixels[a, 0], first.pixels[a, 1]
+    # where one wall covers another a patch holds both, and follows neither
+    clear = (np.abs(v - 120.0) > 15.0) & ((u < 100.0) | (u > 215.0))
+    a, b = a[clear], b[clear]
+    assert len(a) > 30
     moved = last.pixels[b, 0] - first.pixels[a, 0]
     expected = 200.0 * STEP_M * (len(driven) - 1) / np.array([5.0, 6.0, 8.0])
-    assert np.quantile(np.abs(moved[:, None] - expected).min(1), 0.9) < 0.5
-    assert np.abs(last.pixels[b, 1] - first.pixels[a, 1]).max() < 1.5
+    assert np.quantile(np.abs(moved[:, None] - expected).min(1), 0.95) < 0.3
+    assert np.quantile(np.abs(last.pixels[b, 1] - first.pixels[a, 1]), 0.95) < 0.3
 
 
 def test_new_features_get_ids_never_used_before(driven: Seen) -> None:
@@ -150,33 +154,49 @@ def test_a_large_motion_needs_the_prediction(painted_rig: StereoRig, painted_pai
     assert share[0.0] < 0.3
 
 
-def test_a_body_that_moves_by_itself_is_followed_and_fails_the_two_view_test(
+def test_a_body_that_moves_by_itself_is_followed(
     painted_rig: StereoRig, painted_pair: Pair
 ) -> None:
-    """It falls with the picture's rows, off its epipolar lines, which lie along the motion."""
-
-    # the same patch at the same columns of every picture, six rows lower each time
+    """The same patch at the same columns of every picture, ten rows lower each time."""
     still = painted_pair(0, 0.0)
 
     def falling(i: int) -> StereoFrame:
         pair = painted_pair(10**8 * i, STEP_M * i, 0.0)
         left, right = pair.left.copy(), pair.right.copy()
-        first = 60 + 6 * i
+        first = 50 + 10 * i
         left[first : first + 60, 120:200] = still.left[30:90, 20:100]
         right[first : first + 60, 110:190] = still.left[30:90, 20:100]
         return replace(pair, left=left, right=right)
 
     with tracker_of(painted_rig) as tracker:
-        tracker.track(falling(0), np.eye(4))
-        for i in range(1, 4):
+        first, _ = tracker.track(falling(0), np.eye(4))
+        for i in range(1, 5):
             seen, _ = tracker.track(falling(i), sideways(STEP_M))
-    old = seen.hops == 3
     u, v = seen.pixels[:, 0], seen.pixels[:, 1]
-    body = old & (u > 124) & (u < 196) & (v > 82) & (v < 134)
+    body = (u > 126) & (u < 194) & (v > 96) & (v < 144) & (seen.hops == 4)
     assert body.sum() >= 6
-    assert seen.two_view_inlier[body].mean() < 0.3
-    walls = old & ((u < 90) | (u > 230))
-    assert seen.two_view_inlier[walls].mean() > 0.8
+    _, a, b = np.intersect1d(first.feature_id, seen.feature_id[body], return_indices=True)
+    moved = seen.pixels[body][b, :2] - first.pixels[a, :2]
+    assert (np.abs(moved - [0.0, 40.0]).max(1) < 0.3).mean() > 0.8
+
+
+def test_the_verdict_of_the_two_view_test_is_passed_on(
+    painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    verdicts: list[BoolArray] = []
+
+    def every_third(before: FloatArray, now: FloatArray, threshold: float) -> BoolArray:
+        assert threshold == pytest.approx(1.0 / 200.0)
+        np.testing.assert_allclose(now[:, 0] - before[:, 0], STEP_M / 8.0, atol=STEP_M / 6.0)
+        verdicts.append(np.arange(len(before)) % 3 > 0)
+        return verdicts[-1]
+
+    monkeypatch.setattr(tracker_module, "two_view_inliers", every_third)
+    driven = drive(painted_rig, painted_pair)
+    assert len(verdicts) == len(driven) - 1
+    for (seen, _), verdict in zip(driven[1:], verdicts, strict=True):
+        np.testing.assert_array_equal(seen.two_view_inlier[seen.hops > 0], verdict)
+        assert seen.two_view_inlier[seen.hops == 0].all()
 
 
 def test_a_rig_displaced_diagonally_is_matched(painted_rig: StereoRig, painted_pair: Pair) -> None:
