@@ -35,3 +35,24 @@ def test_clahe_corrects_each_place_for_itself(dark: Image) -> None:
 
 def test_none_leaves_the_image_as_it_is(dark: Image) -> None:
     assert EQUALIZERS["none"](dark) is dark
+
+
+def test_the_linear_stretch_has_one_gain_for_all_greys(dark: Image) -> None:
+    low = float(np.percentile(dark[::4, ::4], 2.0))
+    out = EQUALIZERS["linear"](dark).astype(float)
+    expected = np.clip(4.0 * (dark.astype(float) - low), 0.0, 255.0)  # night stays night
+    assert np.abs(out - expected).max() <= 4.0
+    ramp = np.tile(np.linspace(60.0, 180.0, 160), (120, 1)).astype(np.uint8)
+    stretched = EQUALIZERS["linear"](ramp).astype(float)
+    assert stretched.min() == 0.0
+    assert stretched.max() == 255.0
+    inner = (stretched > 5.0) & (stretched < 250.0)
+    slope = np.polyfit(ramp[inner], stretched[inner], 1)[0]
+    assert slope == pytest.approx(255.0 / (0.96 * 120.0), rel=0.03)
+
+
+@pytest.mark.parametrize("name", EQUALIZERS)
+def test_a_blank_image_is_no_trouble(name: str) -> None:
+    out = EQUALIZERS[name](np.full((120, 160), 77, dtype=np.uint8))
+    assert out.dtype == np.uint8
+    assert np.ptp(out) == 0
