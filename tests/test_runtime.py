@@ -35,3 +35,12 @@ def test_importing_ovmot_does_not_import_numpy() -> None:
 def test_prepare_process_turns_opencvs_threads_off() -> None:
     code = "from ovmot.runtime import prepare_process; prepare_process(); import cv2; "
     assert output_of(code + "print(cv2.getNumThreads())") == "1"
+
+
+def test_prepare_process_holds_blas_to_one_thread_after_numpy_was_imported() -> None:
+    code = (
+        "import numpy; from ovmot.runtime import prepare_process; prepare_process();"
+        "from threadpoolctl import threadpool_info;"
+        "print({i['num_threads'] for i in threadpool_info() if i['user_api'] == 'blas'})"
+    )
+    assert output_of(code) == "{1}"

@@ -25,10 +25,17 @@ def limit_blas_threads() -> None:
 
 
 def prepare_process() -> None:
-    """Turn OpenCV's thread pool off and let malloc keep the memory of freed images."""
+    """Turn OpenCV's thread pool off and let malloc keep the memory of freed images.
+
+    BLAS is held to one thread also where NumPy was imported before ovmot, unless the user's
+    environment says otherwise.
+    """
     import cv2
+    from threadpoolctl import threadpool_limits
 
     cv2.setNumThreads(1)
+    if all(os.environ.get(variable, "1") == "1" for variable in BLAS_THREAD_VARIABLES):
+        threadpool_limits(limits=1, user_api="blas")
     if sys.platform.startswith("linux"):
         try:
             libc = ctypes.CDLL("libc.so.6")

@@ -27,7 +27,8 @@ def stretch_linearly(image: Image) -> Image:
     """
     low, high = np.percentile(image[::4, ::4], (2.0, 98.0))
     gain = min(255.0 / max(high - low, 1.0), _MAX_GAIN)
-    return np.asarray(cv2.convertScaleAbs(cv2.subtract(image, float(low)), alpha=gain), np.uint8)
+    levels = np.clip((np.arange(256) - low) * gain, 0.0, 255.0).astype(np.uint8)
+    return np.asarray(cv2.LUT(image, levels), dtype=np.uint8)
 
 
 def leave_as_is(image: Image) -> Image:
