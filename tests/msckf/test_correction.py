@@ -363,6 +363,21 @@ def test_driving_drops_the_oldest_clone_of_a_full_window(make_drive: MakeDrive) 
     assert less.state.covariance.shape == (FIRST_CLONE + 6 * n, FIRST_CLONE + 6 * n)
 
 
+def test_prediction_clones_the_pose_of_the_frame(make_drive: MakeDrive) -> None:
+    drive = make_drive(13, 1.0)
+    ego, _ = filled_window(drive, 5)
+    stamp = drive.frames[4].timestamp_ns
+    assert ego.state.timestamp_ns == ego.imu_needed_until(stamp) == ego.imu_time_ns(stamp)
+    assert ego.state.clones.timestamp_ns[-1] == stamp
+    np.testing.assert_array_equal(ego.window().T_world_imu[-1], ego.estimate(stamp).T_world_imu)
+    # a later moment of the frame is farther along the way and the turn
+    by_offset = ego.state.covariance[-6:, TIME_OFFSET] / OFFSET_SIGMA**2
+    rate = drive.path.angular_velocity(stamp)
+    np.testing.assert_allclose(by_offset[:3], rate, atol=0.1)
+    np.testing.assert_allclose(by_offset[3:], ego.state.imu.velocity, atol=1e-9)
+    assert np.linalg.norm(rate) > 0.2
+
+
 def test_estimate_and_window_are_the_state(make_drive: MakeDrive) -> None:
     ego, _ = filled_window(make_drive(12, 1.0), 3)
     estimate, window = ego.estimate(77), ego.window()

@@ -97,6 +97,28 @@ def test_transition_is_the_derivative_of_the_mean(
             assert error <= tolerance, f"{row} by {column}"
 
 
+@integrators
+def test_a_long_step_turns_with_the_gyro_bias_exactly(
+    name: str, start_ns: int, noise: ImuNoise, central_differences: Derivative
+) -> None:
+    t = np.array([start_ns, start_ns + 100_000_000])
+    one = np.ones((2, 1))
+    samples = ImuData(t, one * [2.0, -5.0, 3.0], one * [0.0, 0.0, G])
+    zero = np.zeros(3)
+    imu = ImuState(np.eye(3), zero, zero, zero, zero)
+    end = run(imu, samples, noise, name)
+
+    def turned(bias: FloatArray) -> FloatArray:
+        R = run(replace(imu, gyro_bias=bias), samples, noise, name).imu.R_world_imu
+        return so3.log(end.imu.R_world_imu.T @ R)
+
+    expected = central_differences(turned, zero)
+    # a step of Runge-Kutta is off by the fifth power of its angle
+    tolerance = {"discrete": 1e-8, "rk4": 5e-4}[name]
+    np.testing.assert_allclose(end.transition[THETA, GYRO_BIAS], expected, atol=tolerance)
+    assert np.abs(expected + 0.1 * np.eye(3)).max() > 0.01
+
+
 def increments(gyro: FloatArray, accel: FloatArray, t: float) -> FloatArray:
     """[R v p] (3, 5) after t seconds of constant body rates, from rest, without gravity."""
     A = np.zeros((5, 5))
