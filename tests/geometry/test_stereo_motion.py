@@ -15,10 +15,10 @@ ROTATION_SIGMA = 0.01
 
 
 def stereo_pairs(
-    rng: np.random.Generator, n: int, outliers: int = 0, scale: float = 1.0
+    rng: np.random.Generator, n: int, outliers: int = 0, scale: float = 1.0, far: float = 20.0
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Views (n, 4) before and now; the first `outliers` are on a car that drives on its own."""
-    depth = rng.uniform(4.0, 20.0, (n, 1))
+    depth = rng.uniform(4.0, far, (n, 1))
     p = np.concatenate([rng.uniform(-0.6, 0.6, (n, 2)), np.ones((n, 1))], axis=1) * depth
     q = se3.apply(T_NOW_BEFORE, p)
     q[:outliers] += np.array([0.9, 0.0, 0.8])
@@ -65,7 +65,21 @@ def test_covariance_is_about_right() -> None:
         errors.append(error_of(motion.T_now_before))
         claims.append(motion.covariance)
     nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, claims, strict=True)])
-    assert 5.0 < nees.mean() < 7.5  # 6 of them
+    assert 5.0 < nees.mean() < 7.0  # 6 of them
+
+
+def test_far_points_do_not_shorten_the_motion() -> None:
+    # 40 m at 0.4 m of baseline: depth scatters by a tenth, and not evenly
+    rng = np.random.default_rng(7)
+    errors = []
+    for _ in range(40):
+        before, now, _ = stereo_pairs(rng, 100, far=40.0)
+        motion = solve_stereo_motion(
+            before, now, T_CAM1_CAM0, gyro_rotation(rng), SIGMA, ROTATION_SIGMA
+        )
+        assert motion is not None
+        errors.append(error_of(motion.T_now_before)[5])
+    assert abs(np.mean(errors)) < 0.001  # of 0.6 m
 
 
 def test_points_without_stereo_are_no_inliers() -> None:

@@ -7,6 +7,8 @@ import numpy as np
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import (
+    inverse_3x3,
+    project_plane,
     project_stereo,
     stereo_covariance,
     triangulate_stereo,
@@ -14,6 +16,7 @@ from ovmot.geometry.triangulation import (
 
 _MAX_HYPOTHESES = 80
 _GATE = 13.3  # 99 % of chi-squared with 4 degrees of freedom
+_JOINT_GATE = 15.1  # 5 degrees: two stereo views of a point
 _HUBER = 2.0
 _ITERATIONS = 8
 
@@ -44,7 +47,7 @@ def solve_stereo_motion(
     With the rotation known roughly (`R_now_before` (3, 3), standard deviation in rad), each point
     alone proposes a translation; the proposal with most points within their covariance-scaled gate
     is refined by iteratively reweighted Gauss-Newton, first with a gate that is as wide as the
-    rotation is uncertain, then with that of the points alone. `sigma` (4,): standard deviations of
+    rotation is uncertain, then together with the points. `sigma` (4,): standard deviations of
     plane coordinates. None with fewer than 8 points that agree.
     """
     p_before = triangulate_stereo(before, T_cam1_cam0)
@@ -60,9 +63,10 @@ def solve_stereo_motion(
     t, inlier = _best_translation(p, q, z, W, R_now_before, T_cam1_cam0)
     if inlier.sum() < 8:
         return None
-    T, _, _ = _refine(se3.make(R_now_before, t), p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
-    W = _weights(C, T[:3, :3], q, T_cam1_cam0, sigma)
-    T, information, inlier = _refine(T, p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
+    T = _refine(se3.make(R_now_before, t), p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
+    T, information, inlier = _refine_with_points(
+        T, before[both], z, p, sigma, R_now_before, rotation_sigma, T_cam1_cam0
+    )
     if inlier.sum() < 8:
         return None
     all_inliers = np.zeros(len(both), dtype=np.bool_)
@@ -106,10 +110,8 @@ def _refine(
     R_prior: FloatArray,
     rotation_sigma: float,
     T_c1_c0: FloatArray,
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+) -> FloatArray:
     """Gauss-Newton with Huber weights, points beyond twice the gate left out."""
-    information = np.eye(6)
-    inlier = np.zeros(len(p), dtype=np.bool_)
     for _ in range(_ITERATIONS):
         turned = p @ T[:3, :3].T
         h, J_point = project_stereo(turned + T[:3, 3], T_c1_c0)
@@ -128,4 +130,67 @@ def _refine(
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
         if np.abs(step).max() < 1e-8:
             break
+    return T
+
+
+def _refine_with_points(
+    T: FloatArray,
+    before: FloatArray,
+    now: FloatArray,
+    p: FloatArray,
+    sigma: FloatArray,
+    R_prior: FloatArray,
+    rotation_sigma: float,
+    T_c1_c0: FloatArray,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Motion, its information (6, 6) and inliers: Gauss-Newton on the motion and all points.
+
+    Points left where stereo put them make the motion too short, since their depth errors are not
+    even. A point is (x, y, 1/z) in the earlier left view, and is eliminated from the normal
+    equations (Schur complement; B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1).
+    """
+    information, inlier = np.eye(6), np.zeros(len(p), dtype=np.bool_)
+    point = np.concatenate([before[:, :2], 1.0 / p[:, 2:]], axis=1)
+    for _ in range(_ITERATIONS):
+        r0, A0, _ = _residuals(point, np.eye(4), before, sigma, T_c1_c0)
+        r1, A1, J = _residuals(point, T, now, sigma, T_c1_c0)
+        A, r = np.concatenate([A0, A1], axis=1), np.concatenate([r0, r1], axis=1)
+        At = np.swapaxes(A, -1, -2)
+        N_inverse, g = inverse_3x3(At @ A), At @ r
+        left = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
+        distance = np.sqrt(np.maximum(left, 1e-12))
+        inlier = distance**2 < 2.0 * _JOINT_GATE
+        weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)[:, None, None]
+        Jt, cross = np.swapaxes(J, -1, -2), np.swapaxes(A1, -1, -2) @ J
+        K = np.swapaxes(cross, -1, -2) @ N_inverse
+        information = (weight * (Jt @ J - K @ cross)).sum(0)
+        gradient = (weight * (Jt @ r1 - K @ g)).sum(0)[:, 0]
+        information[:3, :3] += np.eye(3) / rotation_sigma**2
+        gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
+        step = np.linalg.solve(information, gradient)
+        point = point + (N_inverse @ (g - cross @ step[:, None]))[..., 0]
+        T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+        if np.abs(step).max() < 1e-8:
+            break
     return T, information, inlier
+
+
+def _residuals(
+    point: FloatArray, T: FloatArray, seen: FloatArray, sigma: FloatArray, T_c1_c0: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residuals (N, 4, 1) of points (x, y, 1/z) moved by T, derivatives by point and motion.
+
+    All by standard deviation. Homogeneous points are scaled by 1/z, so that far ones do no harm.
+    """
+    inverse_depth = point[:, 2:]
+    turned = np.concatenate([point[:, :2], np.ones_like(inverse_depth)], axis=1) @ T[:3, :3].T
+    q = turned + inverse_depth * T[:3, 3]
+    h0, J0 = project_plane(q)
+    h1, J1 = project_plane(q @ T_c1_c0[:3, :3].T + inverse_depth * T_c1_c0[:3, 3])
+    by_q = np.concatenate([J0, J1 @ T_c1_c0[:3, :3]], axis=1) / sigma[:, None]
+    by_depth = by_q @ T[:3, 3:]
+    by_depth[:, 2:] += (J1 @ T_c1_c0[:3, 3:]) / sigma[2:, None]
+    by_point = np.concatenate([by_q @ T[:3, :2], by_depth], axis=2)
+    by_motion = np.concatenate([by_q @ -so3.hat(turned), by_q * inverse_depth[..., None]], axis=2)
+    residual = (seen - np.concatenate([h0, h1], axis=1)) / sigma
+    return residual[..., None], by_point, by_motion
