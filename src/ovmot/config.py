@@ -68,7 +68,7 @@ class EpipolarSettings(_Section):
 class FilterSettings(_Section):
     """The sliding-window filter (MSCKF)."""
 
-    max_clones: int = Field(11, ge=4, le=60)
+    max_clones: int = Field(15, ge=4, le=60)
     """Past IMU poses kept in the state."""
     integration: Literal["discrete", "rk4"] = "rk4"
     """IMU integration: averaged samples with constant rates, or Runge-Kutta of 4th order."""

@@ -4,6 +4,7 @@ A lens works on normalised coordinates (x/z, y/z), without unit. A new model is 
 in a file of its own, and a line in `LENSES`.
 """
 
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -57,6 +58,17 @@ class RadialTangential:
         self, xy: FloatArray, coefficients: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        C = np.empty((*xy.shape[:-1], 2, 5))
+        C[..., 0, 0], C[..., 1, 0] = x * r2, y * r2
+        C[..., 0, 1], C[..., 1, 1] = x * r2**2, y * r2**2
+        C[..., 0, 2], C[..., 1, 2] = 2.0 * x * y, r2 + 2.0 * y * y
+        C[..., 0, 3], C[..., 1, 3] = r2 + 2.0 * x * x, 2.0 * x * y
+        C[..., 0, 4], C[..., 1, 4] = x * r2**3, y * r2**3
+        return self._jacobian_xy(xy, coefficients), C[..., : len(coefficients)]
+
+    def _jacobian_xy(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
+        x, y = xy[..., 0], xy[..., 1]
         k1, k2, p1, p2, k3 = _five(coefficients)
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -66,22 +78,16 @@ class RadialTangential:
         J[..., 0, 1] = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         J[..., 1, 0] = J[..., 0, 1]
         J[..., 1, 1] = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-        C = np.empty((*xy.shape[:-1], 2, 5))
-        C[..., 0, 0], C[..., 1, 0] = x * r2, y * r2
-        C[..., 0, 1], C[..., 1, 1] = x * r2**2, y * r2**2
-        C[..., 0, 2], C[..., 1, 2] = 2.0 * x * y, r2 + 2.0 * y * y
-        C[..., 0, 3], C[..., 1, 3] = r2 + 2.0 * x * x, 2.0 * x * y
-        C[..., 0, 4], C[..., 1, 4] = x * r2**3, y * r2**3
-        return J, C[..., : len(coefficients)]
+        return J
 
     def undistort(self, xy_distorted: FloatArray, coefficients: FloatArray) -> FloatArray:
         target = np.asarray(xy_distorted, dtype=np.float64)
         xy = target.copy()
         for _ in range(_NEWTON_STEPS):
-            J, _ = self.distort_jacobian(xy, coefficients)
             residual = self.distort(xy, coefficients) - target
             if not np.nanmax(np.abs(residual), initial=0.0) > _TOLERANCE:
                 break
+            J = self._jacobian_xy(xy, coefficients)
             det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
             det = np.where(np.abs(det) < 1e-9, np.nan, det)
             step_x = (J[..., 1, 1] * residual[..., 0] - J[..., 0, 1] * residual[..., 1]) / det
@@ -168,6 +174,7 @@ def _five(coefficients: FloatArray) -> tuple[float, float, float, float, float]:
     return k1, k2, p1, p2, float(coefficients[4]) if len(coefficients) > 4 else 0.0
 
 
+@lru_cache(maxsize=64)
 def _fold_squared(radial: tuple[float, ...]) -> float:
     """r² at which r (1 + k1 r² + k2 r⁴ + ...) stops growing; infinite where it never does."""
     slope = [1.0, *((2 * i + 3) * k for i, k in enumerate(radial))]

@@ -12,6 +12,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 _MIN_INVERSE_DEPTH = 1e-4
+_CONVERGED = 1e-7  # plane units, far below a pixel
 
 
 def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
@@ -143,8 +144,9 @@ def _linear_point(xy: FloatArray, T: FloatArray, weight: FloatArray) -> FloatArr
     A = T[..., :2, :3] - xy[..., :, None] * T[..., 2:3, :3]
     b = xy * T[..., 2:3, 3] - T[..., :2, 3]
     A = A * weight[..., None, None]
-    N = np.einsum("fvij,fvik->fjk", A, A)
-    c = np.einsum("fvij,fvi->fj", A, b)
+    A, b = A.reshape(len(A), -1, 3), b.reshape(len(b), -1, 1)
+    At = np.swapaxes(A, -1, -2)
+    N, c = At @ A, (At @ b)[..., 0]
     N += 1e-9 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     p: FloatArray = (inverse_3x3(N) @ c[..., None])[..., 0]
     return p
@@ -160,7 +162,8 @@ def _refine_inverse_depth(
     for _ in range(iterations):
         diagonal = np.einsum("fii->fi", N)[:, :, None] * np.eye(3)
         step = (inverse_3x3(N + damping[:, None, None] * diagonal) @ g[..., None])[..., 0]
-        trial = state + np.nan_to_num(step, posinf=0.0, neginf=0.0)
+        step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
+        trial = state + step
         trial[:, 2] = np.maximum(trial[:, 2], _MIN_INVERSE_DEPTH)
         trial_cost, trial_N, trial_g = _inverse_depth_system(trial, xy, T, weight)
         better = trial_cost <= cost
@@ -169,6 +172,8 @@ def _refine_inverse_depth(
         g = np.where(better[:, None], trial_g, g)
         cost = np.where(better, trial_cost, cost)
         damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), 1e-9, 1e3)
+        if np.abs(step).max(initial=0.0) < _CONVERGED:
+            break
     return state, cost / (2.0 * count)
 
 
@@ -177,7 +182,7 @@ def _inverse_depth_system(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Squared error (F,), normal matrix (F, 3, 3) and gradient (F, 3) at (alpha, beta, rho)."""
     ray = np.concatenate([state[:, :2], np.ones((len(state), 1))], axis=1)
-    h = np.einsum("fvij,fj->fvi", T[..., :3, :3], ray) + state[:, None, 2:] * T[..., :3, 3]
+    h = (T[..., :3, :3] @ ray[:, None, :, None])[..., 0] + state[:, None, 2:] * T[..., :3, 3]
     behind = (h[..., 2] < 1e-6) & (weight > 0.0)
     h = np.where(behind[..., None], np.array([0.0, 0.0, 1.0]), h)
     plane, J_plane = project_plane(h)
@@ -185,4 +190,6 @@ def _inverse_depth_system(
     J = J_plane @ columns * weight[..., None, None]
     r = (xy - plane) * weight[..., None]
     cost = (r * r).sum((1, 2)) + 1e3 * behind.sum(1)
-    return cost, np.einsum("fvij,fvik->fjk", J, J), np.einsum("fvij,fvi->fj", J, r)
+    J, r = J.reshape(len(J), -1, 3), r.reshape(len(r), -1, 1)
+    Jt = np.swapaxes(J, -1, -2)
+    return cost, Jt @ J, (Jt @ r)[..., 0]

@@ -17,7 +17,7 @@ from ovmot.objects.motion_tests import MOTION_TESTS, Evidence, Verdict
 from ovmot.tracks import TrackTable
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
 
-LOOK_BACK_S = (2.0, 1.0, 0.6, 0.3)  # and always the last frame
+LOOK_BACK_S = (1.5, 0.8, 0.3)  # and always the last frame
 
 
 @dataclass(frozen=True, slots=True)
