@@ -8,7 +8,7 @@ linear formulation", ISMAR 2018, with the scale known), and is solved again with
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ovmot.msckf.state import (
     ACCEL_BIAS,
     FIRST_CLONE,
     GYRO_BIAS,
+    N_IMU,
     POSITION,
     THETA,
     TIME_OFFSET,
@@ -123,23 +124,19 @@ def integrated_rotation(samples: ImuData) -> FloatArray:
 def _integrate_from_start(
     imu: Sequence[ImuData], gyro_bias: FloatArray, noise: ImuNoise
 ) -> list[Propagation]:
-    """Motion without gravity from the first sample to the end of each piece, with Jacobians."""
+    """Motion without gravity from the first sample to the end of each piece, with Jacobians.
+
+    The noise of each result is that of its last piece only.
+    """
     zero = np.zeros(3)
-    start = ImuState(np.eye(3), zero, zero, gyro_bias, zero)
+    state = ImuState(np.eye(3), zero, zero, gyro_bias, zero)
+    transition = np.eye(N_IMU)
     out: list[Propagation] = []
-    for k in range(len(imu)):
-        joined = _join(imu[: k + 1])
-        out.append(propagate_imu(start, start, joined, noise, 0.0, integrate_rk4))
+    for samples in imu:
+        step = propagate_imu(state, state, samples, noise, 0.0, integrate_rk4)
+        state, transition = step.imu, step.transition @ transition
+        out.append(replace(step, transition=transition))
     return out
-
-
-def _join(pieces: Sequence[ImuData]) -> ImuData:
-    """Consecutive pieces as one: the end of each is the start of the next."""
-    return ImuData(
-        np.concatenate([pieces[0].timestamp_ns[:1], *[x.timestamp_ns[1:] for x in pieces]]),
-        np.concatenate([pieces[0].gyro[:1], *[x.gyro[1:] for x in pieces]]),
-        np.concatenate([pieces[0].accel[:1], *[x.accel[1:] for x in pieces]]),
-    )
 
 
 def _gyro_bias(path: StereoPath, imu: Sequence[ImuData], noise: ImuNoise) -> FloatArray:
