@@ -1,6 +1,7 @@
 """Where features should be found: start positions for optical flow."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
@@ -47,8 +48,7 @@ def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray
     if len(known) < _NEAREST:
         out[unknown] = default
         return out
-    apart = np.linalg.norm(uv[unknown, None] - uv[None, known], axis=2)
-    nearest = np.argpartition(apart, _NEAREST - 1, axis=1)[:, :_NEAREST]
+    _, nearest = cKDTree(uv[known]).query(uv[unknown], k=_NEAREST)
     out[unknown] = np.median(depth[known][nearest], axis=1)
     return out
 

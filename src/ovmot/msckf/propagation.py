@@ -107,24 +107,18 @@ def propagate_imu(
     dt = np.diff(samples.timestamp_ns) * 1e-9
     gyro, accel = samples.gyro - imu.gyro_bias, samples.accel - imu.accel_bias
     parts = integrator(gyro, accel, dt)
-    g = np.array([0.0, 0.0, -gravity])
-    R, v, p = imu.R_world_imu, imu.velocity, imu.position
     mean_rate, mean_accel = 0.5 * (gyro[:-1] + gyro[1:]), 0.5 * (accel[:-1] + accel[1:])
-    F, Q = _interval_matrices(parts, mean_rate, mean_accel, noise, max_gap_s)
+    g = np.array([0.0, 0.0, -gravity])
+    R = _chain(imu.R_world_imu, parts.rotation)
+    F, Q = _interval_matrices(R[:-1], parts, mean_rate, mean_accel, noise, max_gap_s)
+    v, p = imu.velocity, imu.position
     transition, covariance = np.eye(N_IMU), np.zeros((N_IMU, N_IMU))
     for i, h in enumerate(dt):
-        # F and Q are in the body frame at the interval's start; turn velocity and position rows.
-        W = np.eye(N_IMU)
-        W[POSITION, POSITION] = W[VELOCITY, VELOCITY] = R
-        Wi = W.T
-        step = W @ F[i] @ Wi
-        covariance = step @ covariance @ step.T + W @ Q[i] @ Wi
-        transition = step @ transition
-        p = p + v * h + 0.5 * g * h * h + R @ parts.position[i]
-        v = v + g * h + R @ parts.velocity[i]
-        R = R @ parts.rotation[i]
-    R = so3.project_to_rotation(R)
-    end = replace(imu, R_world_imu=R, velocity=v, position=p)
+        covariance = F[i] @ covariance @ F[i].T + Q[i]
+        transition = F[i] @ transition
+        p = p + v * h + 0.5 * g * h * h + R[i] @ parts.position[i]
+        v = v + g * h + R[i] @ parts.velocity[i]
+    end = replace(imu, R_world_imu=so3.project_to_rotation(R[-1]), velocity=v, position=p)
     transition = _with_first_estimates(transition, imu_first, end, float(dt.sum()), g)
     return Propagation(end, transition, 0.5 * (covariance + covariance.T), gyro[-1])
 
@@ -170,40 +164,53 @@ def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> Sta
     return replace(state, clones=clones, covariance=P)
 
 
+def _chain(R_start: FloatArray, steps: FloatArray) -> FloatArray:
+    """Rotations (n + 1, 3, 3) from the start on, one more after each of n steps (n, 3, 3)."""
+    out = np.empty((len(steps) + 1, 3, 3))
+    out[0] = R_start
+    for i, step in enumerate(steps):
+        out[i + 1] = out[i] @ step
+    return out
+
+
 def _interval_matrices(
-    parts: Increments, rate: FloatArray, accel: FloatArray, noise: ImuNoise, max_gap_s: float
+    R: FloatArray,
+    parts: Increments,
+    rate: FloatArray,
+    accel: FloatArray,
+    noise: ImuNoise,
+    max_gap_s: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Transition and noise (n, 15, 15) of each sample pair, world axes turned to the body's."""
+    """Transition and noise (n, 15, 15) of each sample pair that starts at rotation R (n, 3, 3).
+
+    The noise of an axis is that of every other, so Q needs no rotation.
+    """
     n = len(parts.dt)
     h = parts.dt[:, None, None]
     eye = np.eye(3)
     Jr = so3.right_jacobian(rate * parts.dt[:, None])
-    A = so3.hat(accel)
+    RA = R @ so3.hat(accel)
     F = np.broadcast_to(np.eye(N_IMU), (n, N_IMU, N_IMU)).copy()
     F[:, THETA, THETA] = np.swapaxes(parts.rotation, -1, -2)
     F[:, THETA, GYRO_BIAS] = -Jr * h
-    F[:, POSITION, THETA] = -so3.hat(parts.position)
+    F[:, POSITION, THETA] = -R @ so3.hat(parts.position)
     F[:, POSITION, VELOCITY] = eye * h
-    F[:, POSITION, GYRO_BIAS] = A * h**3 / 6.0
-    F[:, POSITION, ACCEL_BIAS] = -0.5 * eye * h**2
-    F[:, VELOCITY, THETA] = -so3.hat(parts.velocity)
-    F[:, VELOCITY, GYRO_BIAS] = 0.5 * A * h**2
-    F[:, VELOCITY, ACCEL_BIAS] = -eye * h
+    F[:, POSITION, GYRO_BIAS] = RA * h**3 / 6.0
+    F[:, POSITION, ACCEL_BIAS] = -0.5 * R * h**2
+    F[:, VELOCITY, THETA] = -R @ so3.hat(parts.velocity)
+    F[:, VELOCITY, GYRO_BIAS] = 0.5 * RA * h**2
+    F[:, VELOCITY, ACCEL_BIAS] = -R * h
 
     gap = h > max_gap_s
-    gyro_density = np.where(gap, _GAP_GYRO, noise.gyro)
-    accel_density = np.where(gap, _GAP_ACCEL, noise.accel)
-    G = np.zeros((n, N_IMU, 6))
-    G[:, THETA, :3] = -Jr * h
-    G[:, VELOCITY, 3:] = -eye * h
-    G[:, POSITION, 3:] = -0.5 * eye * h**2
-    density = np.concatenate(
-        [gyro_density * np.ones((n, 1, 3)), accel_density * np.ones((n, 1, 3))], 2
-    )
-    G = G * density / np.sqrt(h)
-    Q = G @ np.swapaxes(G, -1, -2)
-    Q[:, GYRO_BIAS, GYRO_BIAS] += noise.gyro_walk**2 * h * eye
-    Q[:, ACCEL_BIAS, ACCEL_BIAS] += noise.accel_walk**2 * h * eye
+    gyro_variance = np.where(gap, _GAP_GYRO, noise.gyro) ** 2
+    accel_variance = np.where(gap, _GAP_ACCEL, noise.accel) ** 2
+    Q = np.zeros((n, N_IMU, N_IMU))
+    Q[:, THETA, THETA] = gyro_variance * h * Jr @ np.swapaxes(Jr, -1, -2)
+    Q[:, VELOCITY, VELOCITY] = accel_variance * h * eye
+    Q[:, POSITION, POSITION] = accel_variance * h**3 / 4.0 * eye
+    Q[:, POSITION, VELOCITY] = Q[:, VELOCITY, POSITION] = accel_variance * h**2 / 2.0 * eye
+    Q[:, GYRO_BIAS, GYRO_BIAS] = noise.gyro_walk**2 * h * eye
+    Q[:, ACCEL_BIAS, ACCEL_BIAS] = noise.accel_walk**2 * h * eye
     return F, Q
 
 
