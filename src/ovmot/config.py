@@ -70,6 +70,8 @@ class FilterSettings(_Section):
 
     max_clones: int = Field(15, ge=4, le=60)
     """Past IMU poses kept in the state."""
+    clone_spacing_s: float = Field(0.1, ge=0.0)
+    """Faster frames are followed, but their clones leave so that the window spans more time."""
     integration: Literal["discrete", "rk4"] = "rk4"
     """IMU integration: averaged samples with constant rates, or Runge-Kutta of 4th order."""
     pixel_sigma: float = Field(1.0, gt=0.0)

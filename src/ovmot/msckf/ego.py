@@ -16,6 +16,9 @@ from ovmot.tracks import TrackTable, keep_window, share_clone
 from ovmot.types import EgoEstimate, ImuNoise, PoseWindow
 
 
+_SPACING_SLACK = 1.05  # frames do not come to the nanosecond
+
+
 @dataclass(frozen=True, slots=True)
 class FilterEgo:
     """A filter that runs; `standing` is its verdict on the newest frame."""
@@ -71,11 +74,17 @@ class FilterEgo:
         return replace(self, state=state, standing=standing), table
 
     def forget(self, table: TrackTable) -> tuple["FilterEgo", TrackTable]:
-        """Let a clone go: the newest when standing, else the oldest of a full window."""
+        """Let a clone go: the newest when standing, one that is too close, or the oldest.
+
+        Before the newest, so that the next frame can still be predicted from it.
+        """
         state, stamps = self.state, self.state.clones.timestamp_ns
+        spacing_ns = _SPACING_SLACK * 1e9 * self.settings.filter.clone_spacing_s
         if self.standing and len(stamps) >= 2:
             state = drop_clone(state, len(stamps) - 1)
             table = share_clone(table, int(stamps[-1]), int(stamps[-2]))
+        elif len(stamps) >= 3 and stamps[-1] - stamps[-3] <= spacing_ns:
+            state = drop_clone(state, len(stamps) - 2)
         elif len(stamps) > self.settings.filter.max_clones:
             state = drop_clone(state, 0)
         table = keep_window(table, state.clones.timestamp_ns)
