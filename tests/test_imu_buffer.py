@@ -64,3 +64,18 @@ def test_forgetting_keeps_what_a_later_cut_needs() -> None:
     assert len(buffer.between(EPOCH + 45_000_000, EPOCH + 60_000_000)) == 3
     buffer.forget_before(EPOCH)
     assert buffer.first_ns == EPOCH + 40_000_000
+
+
+def test_one_reading_is_interpolated_also_at_both_ends_of_the_buffer() -> None:
+    buffer = buffer_of()
+    for offset_ns in (0, 12_500_000, 20_000_000, 100_000_000):
+        reading = buffer.at(EPOCH + offset_ns)
+        assert reading.timestamp_ns == EPOCH + offset_ns
+        np.testing.assert_allclose(reading.gyro, [1e-9 * offset_ns, 0.0, 1.0], atol=1e-12)
+        np.testing.assert_allclose(reading.accel, [0.0, -1.0, 2e-9 * offset_ns], atol=1e-12)
+
+
+def test_a_reading_outside_the_buffer_is_refused() -> None:
+    for outside in (EPOCH - 1, EPOCH + 100_000_001):
+        with pytest.raises(DatasetError, match="does not cover"):
+            buffer_of().at(outside)

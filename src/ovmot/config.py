@@ -114,6 +114,8 @@ class InitializationSettings(_Section):
     """Length of IMU and images that a start at rest looks at."""
     motion_window_s: float = Field(1.2, gt=0.3)
     """Length of stereo motion that a start in motion solves over."""
+    accel_bias_sigma_mps2: float = Field(0.05, gt=0.0)
+    """Standard deviation of the accelerometer bias that a start expects."""
     rest_gyro_rps: float = Field(0.02, gt=0.0)
     """At rest, the gyroscope's standard deviation is below this."""
     rest_accel_mps2: float = Field(0.15, gt=0.0)

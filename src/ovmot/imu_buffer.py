@@ -57,6 +57,15 @@ class ImuBuffer:
         values = np.stack(columns, axis=1)
         return ImuData(cut, values[:, :3], values[:, 3:])
 
+    def at(self, stamp_ns: int) -> ImuSample:
+        """The reading at one time, interpolated; raises `DatasetError` as `between` does."""
+        last = self.last_ns
+        if last is not None and stamp_ns == last:
+            end = self.between(stamp_ns - 1, stamp_ns)
+            return ImuSample(stamp_ns, end.gyro[-1], end.accel[-1])
+        begin = self.between(stamp_ns, stamp_ns + 1)
+        return ImuSample(stamp_ns, begin.gyro[0], begin.accel[0])
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples that no cut from `stamp_ns` on can need."""
         keep = int(np.searchsorted(np.array(self._stamps, dtype=np.int64), stamp_ns)) - 1

@@ -69,8 +69,8 @@ def test_a_resting_rig_starts_at_its_first_frame(
     np.testing.assert_array_equal(ego.state.imu.position, 0.0)
     np.testing.assert_allclose(ego.state.imu.gyro_bias, [0.01, 0.02, -0.01], atol=4e-3)
     assert ego.settings is start.settings
-    # the first frame's prediction needs no IMU: its pose is the start's
-    first = ego.predict(start_ns, ImuBuffer())
+    # the first frame's pose is the start's
+    first = ego.predict(start_ns, rest_imu)
     np.testing.assert_array_equal(first.state.clones.timestamp_ns, [start_ns])
     np.testing.assert_array_equal(first.state.clones.T_world_imu[0], first.estimate(0).T_world_imu)
 

@@ -9,12 +9,13 @@ from scipy.stats import chi2
 from ovmot.config import InitializationSettings
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.msckf.start_at_rest import ACCEL_BIAS_SIGMA, rest_failure, start_at_rest
+from ovmot.msckf.start_at_rest import StartPrior, rest_failure, start_at_rest
 from ovmot.msckf.state import ACCEL_BIAS, GYRO_BIAS, POSITION, THETA, TIME_OFFSET, ImuState, State
 from ovmot.sim.imu import noisy_imu
 from ovmot.types import ImuData, ImuNoise
 
 G = 9.81
+ACCEL_BIAS_SIGMA = 0.05  # m/s²
 SETTINGS = InitializationSettings()
 StartError = Callable[[ImuState, ImuState], FloatArray]
 
@@ -38,7 +39,7 @@ def test_levels_and_takes_the_gyro_bias(
     R, bias = so3.exp(np.array(rotation)), np.array([0.02, -0.03, 0.01])
     clean = resting_imu(start_ns, R)
     imu = ImuData(clean.timestamp_ns, clean.gyro + bias, clean.accel)
-    state = start_at_rest(imu, noise, G, (0.002, 0.005))
+    state = start_at_rest(imu, noise, StartPrior(G, 0.002, 0.005, ACCEL_BIAS_SIGMA))
     error = start_error(truth(R, bias, np.zeros(3)), state.imu)
     np.testing.assert_allclose(error, 0.0, atol=1e-9)
     np.testing.assert_allclose(state.imu.R_world_imu.T[:, 2], R.T[:, 2], atol=1e-9)
@@ -57,7 +58,7 @@ def draw(rng: np.random.Generator, noise: ImuNoise) -> tuple[State, ImuState]:
     sensor = noisy_imu(
         resting_imu(0, R), noise, rng, gyro_bias=rng.normal(0.0, 0.05, 3), accel_bias=accel_bias
     )
-    state = start_at_rest(sensor.data, noise, G, (0.0, 0.0))
+    state = start_at_rest(sensor.data, noise, StartPrior(G, 0.0, 0.0, ACCEL_BIAS_SIGMA))
     return state, truth(R, sensor.gyro_bias[-1], sensor.accel_bias[-1])
 
 
@@ -80,7 +81,9 @@ def test_errors_of_many_starts_are_as_large_as_claimed(
 
 def test_tilt_is_tied_to_the_accelerometer_bias(start_ns: int, noise: ImuNoise) -> None:
     R = so3.exp(np.array([0.2, -0.1, 0.0]))
-    P = start_at_rest(resting_imu(start_ns, R, 2.0), noise, G, (0.0, 0.0)).covariance
+    P = start_at_rest(
+        resting_imu(start_ns, R, 2.0), noise, StartPrior(G, 0.0, 0.0, ACCEL_BIAS_SIGMA)
+    ).covariance
     up = R.T @ np.array([0.0, 0.0, 1.0])
     side = np.cross(up, [1.0, 0.0, 0.0]) / np.linalg.norm(np.cross(up, [1.0, 0.0, 0.0]))
     # alone, the tilt is known as well as the bias; with the bias given, far better

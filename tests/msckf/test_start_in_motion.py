@@ -12,6 +12,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.imu_buffer import ImuBuffer
+from ovmot.msckf.start_at_rest import StartPrior
 from ovmot.msckf.start_in_motion import CannotStart, start_in_motion, stereo_path
 from ovmot.msckf.state import GYRO_BIAS, THETA, TIME_OFFSET, VELOCITY, ImuState, State
 from ovmot.sim.imu import noisy_imu, perfect_imu
@@ -73,7 +74,7 @@ def make_drive(
 
 
 def start(drive: Drive, rig: StereoRig, noise: ImuNoise) -> State:
-    return start_in_motion(drive.frames, drive.imu, rig, noise, G, (0.001, 0.004))
+    return start_in_motion(drive.frames, drive.imu, rig, noise, StartPrior(G, 0.001, 0.004, 0.05))
 
 
 def test_stereo_path_is_the_path_of_the_imu(

@@ -12,7 +12,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.ego import FilterEgo
-from ovmot.msckf.start_at_rest import start_at_rest
+from ovmot.msckf.start_at_rest import StartPrior, start_at_rest
 from ovmot.msckf.state import VELOCITY, Clones, State, box_plus, clone_columns, drop_clone
 from ovmot.msckf.zero_velocity import (
     is_standing,
@@ -149,7 +149,9 @@ def test_a_minute_of_standing_drifts_less_than_a_centimetre(
     for stamp, gyro, accel in zip(data.timestamp_ns, data.gyro, data.accel, strict=True):
         buffer.append(ImuSample(int(stamp), gyro, accel))
     begin = buffer.between(start_ns, int(t[rate_hz // 2]))
-    ego = FilterEgo(start_at_rest(begin, noise, 9.81, (0.0, 0.005)), rig, noise, Settings())
+    ego = FilterEgo(
+        start_at_rest(begin, noise, StartPrior(9.81, 0.0, 0.005, 0.05)), rig, noise, Settings()
+    )
     ego, table = ego.predict(int(t[rate_hz // 2]), buffer), empty_table()
     T_world_imu = se3.make(R, np.zeros(3))
     landmarks = landmarks[:100]

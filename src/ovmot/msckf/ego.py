@@ -15,7 +15,6 @@ from ovmot.msckf.zero_velocity import is_standing, still_share, zero_velocity_up
 from ovmot.tracks import TrackTable, keep_window, share_clone
 from ovmot.types import EgoEstimate, ImuNoise, PoseWindow
 
-
 _SPACING_SLACK = 1.05  # frames do not come to the nanosecond
 
 
@@ -41,7 +40,8 @@ class FilterEgo:
         """Propagate to the frame and clone its pose; `imu` must reach its time."""
         end_ns = self.imu_time_ns(frame_ns)
         if end_ns <= self.state.timestamp_ns:  # the frame at which the filter starts
-            return replace(self, state=propagation.clone_pose(self.state, frame_ns, np.zeros(3)))
+            rate = imu.at(end_ns).gyro - self.state.imu.gyro_bias
+            return replace(self, state=propagation.clone_pose(self.state, frame_ns, rate))
         samples = imu.between(self.state.timestamp_ns, end_ns)
         result = propagation.propagate_imu(
             self.state.imu,

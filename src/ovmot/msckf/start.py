@@ -11,7 +11,7 @@ from ovmot.config import Settings
 from ovmot.errors import DatasetError
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.ego import FilterEgo
-from ovmot.msckf.start_at_rest import rest_failure, start_at_rest
+from ovmot.msckf.start_at_rest import StartPrior, rest_failure, start_at_rest
 from ovmot.msckf.start_in_motion import CannotStart, start_in_motion
 from ovmot.msckf.state import State
 from ovmot.msckf.zero_velocity import still_share
@@ -36,7 +36,9 @@ class FilterStart:
         A little more than the frame's own: the filter may move the time offset while it goes
         through the frames it was started on.
         """
-        return self._imu_ns(frame_ns) + round(1e9 * _OFFSET_SIGMAS * self._time_offset()[1])
+        return self._imu_ns(frame_ns) + round(
+            1e9 * _OFFSET_SIGMAS * self._prior().time_offset_sigma_s
+        )
 
     def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> FilterEgo | str:
         """A filter whose state is at the first frame's time, or why there is none yet."""
@@ -65,9 +67,7 @@ class FilterStart:
         failure = rest_failure(samples, _share(frames, settings.rest_pixel), settings)
         if failure is not None:
             return failure
-        state = start_at_rest(
-            samples, self.noise, self.settings.filter.gravity_mps2, self._time_offset()
-        )
+        state = start_at_rest(samples, self.noise, self._prior())
         return _at_time(state, start)
 
     def _in_motion(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State:
@@ -75,22 +75,19 @@ class FilterStart:
             raise CannotStart(f"only {len(frames)} frames (at least {_MIN_MOTION_FRAMES})")
         stamps = [self._imu_ns(f.timestamp_ns) for f in frames]
         pieces: list[ImuData] = [imu.between(a, b) for a, b in pairwise(stamps)]
-        return start_in_motion(
-            frames,
-            pieces,
-            self.rig,
-            self.noise,
-            self.settings.filter.gravity_mps2,
-            self._time_offset(),
-        )
+        return start_in_motion(frames, pieces, self.rig, self.noise, self._prior())
 
     def _imu_ns(self, frame_ns: int) -> int:
         return frame_ns + round(self.rig.time_offset_s * 1e9)
 
-    def _time_offset(self) -> tuple[float, float]:
+    def _prior(self) -> StartPrior:
         known = self.settings.filter
-        sigma = known.time_offset_sigma_s if known.estimate_time_offset else 0.0
-        return self.rig.time_offset_s, sigma
+        return StartPrior(
+            gravity=known.gravity_mps2,
+            time_offset_s=self.rig.time_offset_s,
+            time_offset_sigma_s=known.time_offset_sigma_s if known.estimate_time_offset else 0.0,
+            accel_bias_sigma=self.settings.initialization.accel_bias_sigma_mps2,
+        )
 
     @staticmethod
     def _span_s(frames: Sequence[FrontendFrame]) -> float:

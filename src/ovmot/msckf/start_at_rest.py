@@ -1,5 +1,7 @@
 """Start at rest: a resting IMU gives tilt and gyro bias; no jerk is needed."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ovmot.config import InitializationSettings
@@ -21,9 +23,19 @@ from ovmot.msckf.update import ekf_update
 from ovmot.types import ImuData, ImuNoise
 
 GAUGE_SIGMA = 1e-5  # yaw and position are zero by definition
-ACCEL_BIAS_SIGMA = 0.05  # m/s², prior
 _TILT_SIGMA = 0.1  # rad, before gravity is used
 _REST_SPEED_SIGMA = 0.02  # m/s
+
+
+@dataclass(frozen=True, slots=True)
+class StartPrior:
+    """What a start knows beforehand: gravity in m/s², the time offset and its standard deviation
+    in seconds, and the standard deviation of the accelerometer bias in m/s²."""
+
+    gravity: float
+    time_offset_s: float
+    time_offset_sigma_s: float
+    accel_bias_sigma: float
 
 
 def rest_failure(imu: ImuData, still_share: float, settings: InitializationSettings) -> str | None:
@@ -43,12 +55,10 @@ def rest_failure(imu: ImuData, still_share: float, settings: InitializationSetti
     return None
 
 
-def start_at_rest(
-    imu: ImuData, noise: ImuNoise, gravity: float, time_offset: tuple[float, float]
-) -> State:
+def start_at_rest(imu: ImuData, noise: ImuNoise, prior: StartPrior) -> State:
     """The state at the last sample of a resting IMU, with yaw and position zero.
 
-    `time_offset`: estimate and standard deviation in seconds. The mean specific force levels the
+    The mean specific force levels the
     rig and, as a measurement a = Rᵀ(0, 0, g) + b_a, ties tilt and accelerometer bias together.
     """
     force, rate = imu.accel.mean(0), imu.gyro.mean(0)
@@ -63,11 +73,11 @@ def start_at_rest(
     P[POSITION, POSITION] = GAUGE_SIGMA**2 * np.eye(3)
     P[VELOCITY, VELOCITY] = _REST_SPEED_SIGMA**2 * np.eye(3)
     P[GYRO_BIAS, GYRO_BIAS] = (noise.gyro**2 / span + noise.gyro_walk**2 * span + 1e-10) * np.eye(3)
-    P[ACCEL_BIAS, ACCEL_BIAS] = ACCEL_BIAS_SIGMA**2 * np.eye(3)
-    P[TIME_OFFSET, TIME_OFFSET] = time_offset[1] ** 2
-    start = State(int(imu.timestamp_ns[-1]), state, state, time_offset[0], no_clones(), P)
+    P[ACCEL_BIAS, ACCEL_BIAS] = prior.accel_bias_sigma**2 * np.eye(3)
+    P[TIME_OFFSET, TIME_OFFSET] = prior.time_offset_sigma_s**2
+    start = State(int(imu.timestamp_ns[-1]), state, state, prior.time_offset_s, no_clones(), P)
     levelled = ekf_update(
-        start, *_gravity_measurement(start, force, gravity, noise.accel**2 / span)
+        start, *_gravity_measurement(start, force, prior.gravity, noise.accel**2 / span)
     )
     return State(
         levelled.timestamp_ns, levelled.imu, levelled.imu, levelled.time_offset_s,

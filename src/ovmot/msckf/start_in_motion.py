@@ -17,7 +17,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
 from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
-from ovmot.msckf.start_at_rest import ACCEL_BIAS_SIGMA, GAUGE_SIGMA
+from ovmot.msckf.start_at_rest import GAUGE_SIGMA, StartPrior
 from ovmot.msckf.state import (
     ACCEL_BIAS,
     FIRST_CLONE,
@@ -59,8 +59,7 @@ def start_in_motion(
     imu: Sequence[ImuData],
     rig: StereoRig,
     noise: ImuNoise,
-    gravity: float,
-    time_offset: tuple[float, float],
+    prior: StartPrior,
 ) -> State:
     """The state at the first of K frames, from their features and the K - 1 IMU pieces between.
 
@@ -74,17 +73,17 @@ def start_in_motion(
     by_bias = np.array([x.transition[POSITION, ACCEL_BIAS] for x in pieces])
     p, sigma = path.T_start_imu[1:, :3, 3], path.sigma[1:]
     free = _solve_free(p - alpha, t, sigma)
-    if abs(np.linalg.norm(free) - gravity) > _MAX_GRAVITY_ERROR:
+    if abs(np.linalg.norm(free) - prior.gravity) > _MAX_GRAVITY_ERROR:
         raise CannotStart(
             f"gravity from stereo motion and IMU is {np.linalg.norm(free):.2f} m/s²"
-            f" (within {_MAX_GRAVITY_ERROR:g} of {gravity:g})"
+            f" (within {_MAX_GRAVITY_ERROR:g} of {prior.gravity:g})"
         )
-    fit = _solve_with_gravity(p - alpha, by_bias, t, sigma, free, gravity)
+    fit = _solve_with_gravity(p - alpha, by_bias, t, sigma, free, prior)
     if fit.misfit > _MAX_MISFIT:
         raise CannotStart(
             f"IMU and stereo motion differ by {fit.misfit:.1f} sigma (at most {_MAX_MISFIT:g})"
         )
-    return _state_at_start(fit, bias, int(imu[0].timestamp_ns[0]), float(t[-1]), time_offset)
+    return _state_at_start(fit, bias, int(imu[0].timestamp_ns[0]), float(t[-1]), prior)
 
 
 def stereo_path(
@@ -182,10 +181,10 @@ def _solve_with_gravity(
     t: FloatArray,
     sigma: FloatArray,
     gravity_start: FloatArray,
-    magnitude: float,
+    prior: StartPrior,
 ) -> _Fit:
     """Gauss-Newton with |g| known: g = exp(B τ) g, two angles τ about axes B normal to g."""
-    g = gravity_start * magnitude / np.linalg.norm(gravity_start)
+    g = gravity_start * prior.gravity / np.linalg.norm(gravity_start)
     v, ba = np.zeros(3), np.zeros(3)
     weight = 1.0 / sigma**2
     N, B = np.eye(8), np.zeros((3, 2))
@@ -198,8 +197,8 @@ def _solve_with_gravity(
         r = moved - t[:, None] * v - 0.5 * (t**2)[:, None] * g - by_bias @ ba
         N = np.einsum("kij,kil,k->jl", J, J, weight)
         c = np.einsum("kij,ki,k->j", J, r, weight)
-        N[5:, 5:] += np.eye(3) / ACCEL_BIAS_SIGMA**2
-        c[5:] -= ba / ACCEL_BIAS_SIGMA**2
+        N[5:, 5:] += np.eye(3) / prior.accel_bias_sigma**2
+        c[5:] -= ba / prior.accel_bias_sigma**2
         step = np.linalg.solve(N, c)
         g = so3.exp(B @ step[:2]) @ g
         v, ba = v + step[2:5], ba + step[5:]
@@ -210,7 +209,7 @@ def _solve_with_gravity(
 
 
 def _state_at_start(
-    fit: _Fit, gyro_bias: FloatArray, start_ns: int, span: float, time_offset: tuple[float, float]
+    fit: _Fit, gyro_bias: FloatArray, start_ns: int, span: float, prior: StartPrior
 ) -> State:
     """World with gravity along -z; the tilt g_true = exp(B τ) g is the rotation error δθ = -B τ."""
     R = so3.between_vectors(fit.gravity, np.array([0.0, 0.0, -1.0]))
@@ -227,5 +226,5 @@ def _state_at_start(
     P[THETA, THETA] += GAUGE_SIGMA**2 * np.outer(down, down) + 1e-8 * np.eye(3)
     P[POSITION, POSITION] += GAUGE_SIGMA**2 * np.eye(3)
     P[GYRO_BIAS, GYRO_BIAS] += (_INFLATION * 0.004 / span) ** 2 * np.eye(3)
-    P[TIME_OFFSET, TIME_OFFSET] = time_offset[1] ** 2
-    return State(start_ns, imu, imu, time_offset[0], no_clones(), P)
+    P[TIME_OFFSET, TIME_OFFSET] = prior.time_offset_sigma_s**2
+    return State(start_ns, imu, imu, prior.time_offset_s, no_clones(), P)
