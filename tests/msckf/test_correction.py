@@ -104,7 +104,7 @@ def make_drive(
         )
         P = np.diag(np.append(SIGMA, OFFSET_SIGMA) ** 2)
         state = State(start_ns, imu, imu, 0.0, no_clones(), P)
-settings = Settings.model_validate({"filter": {"pixel_sigma": PIXEL_SIGMA}})
+        settings = Settings.model_validate({"filter": {"pixel_sigma": PIXEL_SIGMA}})
         frames = [
             observe(rig, curvy_path.pose(t), points, t, PIXEL_SIGMA, rng)
             for t in range(start_ns, start_ns + round(1e9 * span_s) + 1, FRAME_NS)
