@@ -302,9 +302,9 @@ def test_a_refused_right_observation_never_reaches_the_filter(
     tables: list[TrackTable] = []
     true_correct = FilterEgo.correct
 
-    def correct(ego: FilterEgo, table: TrackTable, moving: object) -> object:
+    def correct(ego: FilterEgo, table: TrackTable) -> object:
         tables.append(table)
-        return true_correct(ego, table, moving)  # type: ignore[arg-type]
+        return true_correct(ego, table)
 
     monkeypatch.setattr(FilterEgo, "correct", correct)
     frames = frames_of(painted_pair, 20, lift=6)

@@ -93,7 +93,7 @@ class FilterSettings(_Section):
 
 
 class ImuSettings(_Section):
-    """Noise of the IMU; keys left out are taken from the data set, or from these defaults."""
+    """Noise of the IMU; densities left out are the data's, else those of `fallback`."""
 
     gyro_noise: float | None = Field(None, gt=0.0)
     """Gyroscope white noise density, rad/s/sqrt(Hz)."""
@@ -103,8 +103,10 @@ class ImuSettings(_Section):
     """Accelerometer white noise density, m/s^2/sqrt(Hz)."""
     accel_walk: float | None = Field(None, gt=0.0)
     """Accelerometer bias random walk, m/s^3/sqrt(Hz)."""
+    fallback: tuple[float, float, float, float] = (1.7e-4, 2e-5, 2e-3, 3e-4)
+    """Gyro noise and walk, accel noise and walk of an unknown unit, in the units above."""
     max_gap_s: float = Field(0.1, gt=0.0)
-    """A hole in the IMU stream longer than this is reported."""
+    """A hole in the IMU stream longer than this is reported, and trusted as little as it should."""
 
 
 class InitializationSettings(_Section):
@@ -143,9 +145,17 @@ class ZeroVelocitySettings(_Section):
     enabled: bool = True
     """Use zero-velocity updates."""
     pixel: float = Field(0.4, gt=0.0)
-    """A point counts as still when it moves less than this between frames."""
+    """A point counts as still when it moves less than this over the look-back."""
     still_share: float = Field(0.5, gt=0.0, le=1.0)
     """Share of the static points that must be still."""
+    look_back_s: float = Field(0.5, gt=0.0)
+    """How long nothing may have moved."""
+    velocity_sigma_mps: float = Field(0.02, gt=0.0)
+    """Standard deviation of a standing rig's velocity."""
+    rotation_sigma_rad: float = Field(2e-4, gt=0.0)
+    """Standard deviation of its rotation between two frames."""
+    position_sigma_m: float = Field(2e-3, gt=0.0)
+    """Standard deviation of its motion between two frames."""
 
 
 class SplitSettings(_Section):
@@ -157,6 +167,8 @@ class SplitSettings(_Section):
     """Test all tracked stereo points, or only those that the two-view test rejected."""
     test: Literal["covariance", "fixed"] = "covariance"
     """Decide by each point's own covariance, or by the fixed thresholds below."""
+    look_back_s: tuple[float, ...] = (1.5, 0.8, 0.3)
+    """Earlier times to compare with; the last frame always is."""
     max_range_m: float = Field(60.0, gt=0.0)
     """Points farther than this are not judged."""
     distance_threshold_m: float = Field(0.25, gt=0.0)

@@ -9,7 +9,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import GivenEgoSettings
 from ovmot.errors import DatasetError
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.tracks import TrackTable, keep_window
 from ovmot.types import EgoEstimate, FrontendFrame, PoseWindow
@@ -29,10 +29,9 @@ class GivenEgo:
     settings: GivenEgoSettings
     window_ns: tuple[int, ...] = ()
 
-    @property
-    def standing(self) -> bool:
-        """A pose file does not say; nothing depends on it here."""
-        return False
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """The frame's own stamp: no IMU is looked at."""
+        return frame_ns
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
         """No IMU is needed."""
@@ -44,7 +43,7 @@ class GivenEgo:
             raise DatasetError(f"no pose is given for the frame at {frame_ns} ns")
         return replace(self, window_ns=(*self.window_ns, frame_ns))
 
-    def correct(self, table: TrackTable, moving: BoolArray) -> tuple["GivenEgo", TrackTable]:
+    def correct(self, table: TrackTable) -> tuple["GivenEgo", TrackTable]:
         """Nothing to correct: the poses are given."""
         return self, table
 
@@ -108,6 +107,10 @@ class GivenStart:
     """The start of a run on given poses: at once. Frames without a pose are left out."""
 
     ego: GivenEgo
+
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """The frame's own stamp: no IMU is looked at."""
+        return frame_ns
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
         """No IMU is needed."""

@@ -1,8 +1,11 @@
 """The IMU samples that a frame still needs, and cuts of them at exact times."""
 
+from bisect import bisect_left, bisect_right
+
 import numpy as np
 
 from ovmot.errors import DatasetError
+from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import ImuData, ImuSample
 
@@ -44,10 +47,8 @@ class ImuBuffer:
         """
         if len(self) < 2 or not self._stamps[0] <= start_ns < end_ns <= self._stamps[-1]:
             raise DatasetError(f"the IMU does not cover {start_ns}..{end_ns} ns")
-        stamps = np.array(self._stamps, dtype=np.int64)
-        lo = int(np.searchsorted(stamps, start_ns, side="right")) - 1
-        hi = int(np.searchsorted(stamps, end_ns, side="left"))
-        stamps = stamps[lo : hi + 1]
+        lo, hi = bisect_right(self._stamps, start_ns) - 1, bisect_left(self._stamps, end_ns)
+        stamps = np.array(self._stamps[lo : hi + 1], dtype=np.int64)
         rates = np.array(self._rates[lo : hi + 1])
         inner = stamps[(stamps > start_ns) & (stamps < end_ns)]
         cut = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
@@ -66,8 +67,29 @@ class ImuBuffer:
         begin = self.between(stamp_ns, stamp_ns + 1)
         return ImuSample(stamp_ns, begin.gyro[0], begin.accel[0])
 
+    def spacing_s(self, cut: ImuData) -> FloatArray:
+        """Seconds between the real samples around each interval (n,) of a cut that was made here.
+
+        An interval of the cut can be short and still lie in a long hole of the stream.
+        """
+        spacing = [
+            self._stamps[bisect_right(self._stamps, int(t))]
+            - self._stamps[bisect_right(self._stamps, int(t)) - 1]
+            for t in cut.timestamp_ns[:-1]
+        ]
+        return np.array(spacing) * 1e-9
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop samples that no cut from `stamp_ns` on can need."""
-        keep = int(np.searchsorted(np.array(self._stamps, dtype=np.int64), stamp_ns)) - 1
+        keep = bisect_left(self._stamps, stamp_ns) - 1
         if keep > 0:
             del self._stamps[:keep], self._rates[:keep]
+
+
+def integrated_rotation(samples: ImuData) -> FloatArray:
+    """R_start_end (3, 3) of the gyroscope alone, no bias taken off."""
+    dt = np.diff(samples.timestamp_ns) * 1e-9
+    R = np.eye(3)
+    for step in so3.exp(0.5 * (samples.gyro[:-1] + samples.gyro[1:]) * dt[:, None]):
+        R = R @ step
+    return R

@@ -1,6 +1,6 @@
 """The program: IMU samples and stereo frames in, one `FrameResult` a frame out."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import Protocol, Self
 
@@ -11,12 +11,11 @@ from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.imu_buffer import ImuBuffer
-from ovmot.msckf.start_in_motion import integrated_rotation
+from ovmot.geometry.arrays import FloatArray
+from ovmot.imu_buffer import ImuBuffer, integrated_rotation
 from ovmot.objects.split import Split, split_points
 from ovmot.timing import Stopwatch
-from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table
+from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table, mark_suspects
 from ovmot.types import (
     EgoEstimate,
     Event,
@@ -28,7 +27,7 @@ from ovmot.types import (
     StereoFrame,
 )
 
-_IMU_KEPT_NS = 1_000_000_000  # more than any time offset
+_IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
 
 STAGES = ("start", "predict", "match", "split", "correct", "forget")
 
@@ -36,9 +35,8 @@ STAGES = ("start", "predict", "match", "split", "correct", "forget")
 class Ego(Protocol):
     """A source of ego motion: the filter, or poses from a file. Each step gives a new one."""
 
-    @property
-    def standing(self) -> bool:
-        """Did the rig stand still at the newest frame?"""
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """A frame's time on the IMU's clock."""
         ...
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
@@ -49,8 +47,8 @@ class Ego(Protocol):
         """Go to the frame's time and remember its pose."""
         ...
 
-    def correct(self, table: TrackTable, moving: BoolArray) -> tuple[Self, TrackTable]:
-        """Use what was seen; `moving` (F,) marks features not to be used now."""
+    def correct(self, table: TrackTable) -> tuple[Self, TrackTable]:
+        """Use what was seen, but no feature that is barred or suspect."""
         ...
 
     def forget(self, table: TrackTable) -> tuple[Self, TrackTable]:
@@ -68,6 +66,10 @@ class Ego(Protocol):
 
 class Start(Protocol):
     """Looks for a start in the frames seen so far."""
+
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """A frame's time on the IMU's clock."""
+        ...
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
         """The IMU time that a frame must wait for, or None."""
@@ -94,6 +96,7 @@ class Pipeline:
         self._last_frame_ns: int | None = None
         self.not_started_because = "no frame was seen"
         self.dropped = 0
+        self.counts: Counter[str] = Counter(resets=0, frames_mostly_moving=0)
 
     def feed(self, event: Event) -> list[FrameResult]:
         """Take one IMU sample or stereo frame; give the results that it made possible.
@@ -125,11 +128,24 @@ class Pipeline:
         # 2 match: follow, match left to right, check every pair by the extrinsics
         with watch.stage("match"):
             seen, matches = self._tracker.track(frame, camera_motion(ego.window(), self._rig))
-        # 3 split by the predicted motion, 4 correct, 7 forget
-        ego, split = self._estimate(ego, seen, watch)
-        self._imu.forget_before(frame.timestamp_ns - _IMU_KEPT_NS)
+        # 3 split: what the predicted motion does not explain leaves the filter with its history
+        with watch.stage("split"):
+            table, split = self._split(append_frame(self._table, seen), seen, ego)
+        # 4 correct: zero velocity, ended features
+        with watch.stage("correct"):
+            ego, table = ego.correct(table)
+        # 5 objects, 6 focus: not built yet
+        # 7 forget: the oldest pose leaves, or the newest when standing
+        with watch.stage("forget"):
+            self._ego, self._table = ego.forget(table)
+            self._forget_imu(self._ego.imu_time_ns(frame.timestamp_ns))
         return FrameResult(
-            frame, ego.estimate(frame.timestamp_ns), split.points, matches, (), watch.milliseconds
+            frame=frame,
+            ego=self._ego.estimate(frame.timestamp_ns),
+            points=split.points,
+            matches=matches,
+            tracks=(),
+            milliseconds=watch.milliseconds,
         )
 
     def close(self) -> None:
@@ -138,47 +154,63 @@ class Pipeline:
         self._waiting.clear()
         self._tracker.close()
 
-    def _estimate(self, ego: Ego, seen: FrontendFrame, watch: Stopwatch) -> tuple[Ego, Split]:
-        """Steps 3 to 7 on what was seen in one frame, whose pose is predicted."""
-        table = append_frame(self._table, seen)
-        # 3 split: what the predicted motion does not explain leaves the filter with its history
-        with watch.stage("split"):
-            split = split_points(table, seen, ego.window(), self._rig, self._settings.split)
-            points = split.points
+    def _split(self, table: TrackTable, seen: FrontendFrame, ego: Ego) -> tuple[TrackTable, Split]:
+        """The table with dynamic features barred and suspects marked, and the split itself."""
+        split = split_points(table, seen, ego.window(), self._rig, self._settings.split)
+        points = split.points
+        if split.plausible:
             dynamic = points.label == int(PointLabel.DYNAMIC)
             table = bar_features(table, points.feature_id[dynamic])
-            moving = np.isin(table.feature_id, points.feature_id[split.suspect])
-        # 4 correct: zero velocity, ended features
-        with watch.stage("correct"):
-            ego, table = ego.correct(table, moving)
-        # 7 forget: the oldest pose leaves, or the newest when standing
-        with watch.stage("forget"):
-            self._ego, self._table = ego.forget(table)
-        return self._ego, split
+        else:
+            self.counts["frames_mostly_moving"] += 1
+        return mark_suspects(table, points.feature_id, split.suspect), split
 
     def _before(self, frame: StereoFrame, watch: Stopwatch) -> FrameResult | None:
         """Track by the gyroscope's rotation, try to start; on success catch up with this frame."""
         with watch.stage("match"):
             seen, matches = self._tracker.track(frame, self._rotation_before_start(frame))
         self._pending.append(seen)
-        span_ns = round(1e9 * self._settings.initialization.motion_window_s)
-        while seen.timestamp_ns - self._pending[0].timestamp_ns > 1.2 * span_ns:
-            self._pending.popleft()
+        self._drop_old_pending()
         with watch.stage("start"):
             ego = self._start(tuple(self._pending), self._imu)
             if isinstance(ego, str):
                 self.not_started_because = ego
                 return None
-            split: Split | None = None
-            for earlier in self._pending:
-                ego, split = self._estimate(
-                    ego.predict(earlier.timestamp_ns, self._imu), earlier, Stopwatch()
-                )
-            assert split is not None
-        self._pending.clear()
+            while self._pending:
+                earlier = self._pending.popleft()
+                ego = ego.predict(earlier.timestamp_ns, self._imu)
+                table, split = self._split(append_frame(self._table, earlier), earlier, ego)
+                ego, table = ego.correct(table)
+                ego, self._table = ego.forget(table)
+            self._ego = ego
         return FrameResult(
-            frame, ego.estimate(frame.timestamp_ns), split.points, matches, (), watch.milliseconds
+            frame=frame,
+            ego=ego.estimate(frame.timestamp_ns),
+            points=split.points,
+            matches=matches,
+            tracks=(),
+            milliseconds=watch.milliseconds,
         )
+
+    def _drop_old_pending(self) -> None:
+        """Keep the frames that a start looks at, none older than the IMU, and their samples."""
+        initialization = self._settings.initialization
+        span_ns = round(1.2e9 * initialization.motion_window_s)
+        first_ns = self._imu.first_ns
+        newest = self._pending[-1].timestamp_ns
+        while len(self._pending) > 1 and (
+            newest - self._pending[0].timestamp_ns > span_ns
+            or (
+                first_ns is not None
+                and self._start.imu_time_ns(self._pending[0].timestamp_ns) < first_ns
+            )
+        ):
+            self._pending.popleft()
+        oldest_ns = self._start.imu_time_ns(self._pending[0].timestamp_ns)
+        self._forget_imu(oldest_ns - round(1e9 * initialization.window_s))
+
+    def _forget_imu(self, needed_ns: int) -> None:
+        self._imu.forget_before(needed_ns - _IMU_KEPT_NS)
 
     def _rotation_before_start(self, frame: StereoFrame) -> FloatArray:
         """Left camera's rotation since the last frame by the gyroscope alone, as T_now_before."""
@@ -186,7 +218,10 @@ class Pipeline:
         if not self._pending:
             return T
         try:
-            samples = self._imu.between(self._pending[-1].timestamp_ns, frame.timestamp_ns)
+            samples = self._imu.between(
+                self._start.imu_time_ns(self._pending[-1].timestamp_ns),
+                self._start.imu_time_ns(frame.timestamp_ns),
+            )
         except DatasetError:
             return T  # no IMU there: start at the old positions
         R_cam_imu = self._rig.T_imu_cam0[:3, :3].T

@@ -21,9 +21,6 @@ from ovmot.outputs.run_writer import RunWriter, open_outputs
 from ovmot.pipeline import STAGES, Pipeline, Start
 from ovmot.types import Event, ImuNoise, StereoFrame
 
-# Where neither the data nor the settings say it: a MEMS unit of the middle class.
-_DEFAULT_NOISE = ImuNoise(gyro=1.7e-4, gyro_walk=2e-5, accel=2e-3, accel_walk=3e-3)
-
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
@@ -62,6 +59,9 @@ def run_sequence(
     try:
         with writer, closing(stream):
             _feed_all(_with_pose(stream, start, counts), pipeline, writer, counts, on_frame)
+            if writer.frames_written == 0:
+                why = pipeline.not_started_because
+                raise OvmotError(f"{sequence.root}: never started: {why}")
     except KeyboardInterrupt:
         ended = "interrupted"
         raise
@@ -72,18 +72,21 @@ def run_sequence(
         pipeline.close()
         counts["frames_written"] = writer.frames_written
         counts["frames_never_covered_by_imu"] = pipeline.dropped
+        counts.update(pipeline.counts)
         warnings = Counter(sequence.warnings)
         if counts["frames_without_pose"]:
             text = f"{options.ego_poses}: frames for which it has no pose: left out"
             warnings[text] += counts["frames_without_pose"]
-        if writer.frames_written == 0:
-            warnings[f"no frame has a pose: {pipeline.not_started_because}"] += 1
         summary = RunSummary(
-            settings, _identity(sequence), counts, warnings, ended, time.perf_counter() - began
+            settings=settings,
+            imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
+            source=_identity(sequence),
+            counts=counts,
+            warnings=warnings,
+            ended=ended,
+            wall_seconds=time.perf_counter() - began,
         )
         write_run_json(options.out, summary)
-    if writer.frames_written == 0:
-        raise OvmotError(f"{sequence.root}: never started: {pipeline.not_started_because}")
     return summary
 
 
@@ -106,9 +109,9 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
 
 
 def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:
-    """Noise densities: the settings' where given, else the data's, else a usual MEMS unit's."""
-    known = sequence.imu_noise or _DEFAULT_NOISE
+    """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
     told = settings.imu
+    known = sequence.imu_noise or ImuNoise(*told.fallback)
     return ImuNoise(
         gyro=told.gyro_noise or known.gyro,
         gyro_walk=told.gyro_walk or known.gyro_walk,

@@ -23,7 +23,7 @@ class TrackTable:
     `pixels`, `normalized` (T, F, 4): left u, v and right u, v, NaN where unseen; distorted pixels
     and undistorted plane coordinates. `hops` (F,): KLT steps so far. `used` (T, F): observations
     that an update has taken. `barred` (F,): features that no update may ever use, since they
-    were found to move.
+    were found to move. `suspect` (F,): features that did not look at rest when last seen.
     """
 
     frame_ns: IntArray
@@ -34,6 +34,7 @@ class TrackTable:
     hops: IntArray
     used: BoolArray
     barred: BoolArray
+    suspect: BoolArray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -52,9 +53,8 @@ def empty_table() -> TrackTable:
     """A table of no frames and no features."""
     ints = np.empty(0, dtype=np.int64)
     seen = np.empty((0, 0, 4))
-    return TrackTable(
-        ints, ints, ints, seen, seen, ints, np.empty((0, 0), np.bool_), np.empty(0, np.bool_)
-    )
+    none = np.empty(0, np.bool_)
+    return TrackTable(ints, ints, ints, seen, seen, ints, np.empty((0, 0), np.bool_), none, none)
 
 
 def append_frame(table: TrackTable, seen: FrontendFrame) -> TrackTable:
@@ -83,12 +83,21 @@ def append_frame(table: TrackTable, seen: FrontendFrame) -> TrackTable:
         hops=hops,
         used=used,
         barred=np.concatenate([table.barred, np.zeros(n_new, dtype=np.bool_)]),
+        suspect=np.concatenate([table.suspect, np.zeros(n_new, dtype=np.bool_)]),
     )
 
 
 def bar_features(table: TrackTable, feature_id: IntArray) -> TrackTable:
     """The table with these features closed to the filter for good."""
     return replace(table, barred=table.barred | np.isin(table.feature_id, feature_id))
+
+
+def mark_suspects(table: TrackTable, feature_id: IntArray, suspect: BoolArray) -> TrackTable:
+    """The table with a new verdict on the features (N,) seen now; of others the last one stays."""
+    out = table.suspect.copy()
+    out[np.isin(table.feature_id, feature_id)] = False
+    out[np.isin(table.feature_id, feature_id[suspect])] = True
+    return replace(table, suspect=out)
 
 
 def mark_used(table: TrackTable, used: BoolArray) -> TrackTable:
@@ -136,4 +145,5 @@ def _select_columns(table: TrackTable, columns: BoolArray) -> TrackTable:
         hops=table.hops[columns],
         used=table.used[:, columns],
         barred=table.barred[columns],
+        suspect=table.suspect[columns],
     )

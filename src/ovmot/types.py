@@ -7,8 +7,6 @@ integer nanoseconds, everything else in SI units. `T_a_b` maps points of frame b
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 
@@ -179,11 +177,6 @@ class FrameResult:
     @property
     def timestamp_ns(self) -> int:
         return self.frame.timestamp_ns
-
-
-def empty_imu_data() -> ImuData:
-    """An `ImuData` of no samples."""
-    return ImuData(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from ovmot.msckf.state import (
     no_clones,
 )
 from ovmot.sim.imu import noisy_imu, perfect_imu
-from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table
+from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table, mark_suspects
 from ovmot.types import FrontendFrame, ImuNoise, ImuSample
 
 FRAME_NS = 100_000_000
@@ -54,7 +54,7 @@ class Drive:
             if bar is not None:
                 table = bar_features(table, table.feature_id[bar(table)])
             before = table
-            ego, table = ego.correct(table, np.zeros(table.shape[1], dtype=np.bool_))
+            ego, table = ego.correct(table)
             yield Step(ego, before, table, seen.timestamp_ns)
             ego, table = ego.forget(table)
 
@@ -236,10 +236,10 @@ def filled_window(drive: Drive, n_frames: int) -> tuple[FilterEgo, TrackTable]:
 
 
 def corrected(
-    ego: FilterEgo, table: TrackTable, held_back: BoolArray, *, oldest_leaves: bool = False
+    ego: FilterEgo, table: TrackTable, *, oldest_leaves: bool = False
 ) -> tuple[State, TrackTable]:
     return correction.correct_with_features(
-        ego.state, table, ego.rig, ego.settings.filter, held_back, oldest_leaves=oldest_leaves
+        ego.state, table, ego.rig, ego.settings.filter, oldest_leaves=oldest_leaves
     )
 
 
@@ -254,13 +254,12 @@ def test_only_ended_features_with_three_views_are_taken(
     make_drive: MakeDrive, taken: list[FloatArray]
 ) -> None:
     ego, table = filled_window(make_drive(5, 1.0), 6)
-    held_back = np.zeros(table.shape[1], dtype=np.bool_)
     whole = np.isfinite(table.pixels[..., 0]).sum(axis=0) == len(table.pixels)
     ended: BoolArray = whole & (np.arange(len(whole)) % 2 == 0)
     short = np.flatnonzero(ended)[:4]
     table = end_tracks(table, ended)
     table.pixels[:3, short] = np.nan  # two views are left
-    state, after = corrected(ego, table, held_back)
+    state, after = corrected(ego, table)
     used_features = after.used.sum(axis=0) > 0
     assert set(np.flatnonzero(used_features)) >= set(np.flatnonzero(ended))
     assert not used_features[table.seen_now].any()
@@ -274,16 +273,45 @@ def test_only_ended_features_with_three_views_are_taken(
 def test_suspects_wait(make_drive: MakeDrive, taken: list[FloatArray]) -> None:
     ego, table = filled_window(make_drive(6, 1.0), 6)
     suspects = np.arange(table.shape[1]) % 2 == 0
-    _, after = corrected(ego, table, suspects, oldest_leaves=True)
+    table = mark_suspects(table, table.feature_id, suspects)
+    _, after = corrected(ego, table, oldest_leaves=True)
     given = pixel_set(np.concatenate(taken))
     of_suspects = table.pixels[:, suspects]
     assert given
     assert not given & pixel_set(of_suspects[np.isfinite(of_suspects[..., 0])][:, :2])
     # those still in view are kept for later, when they may be cleared
     assert not after.used[:, suspects & table.seen_now].any()
-    corrected(ego, after, np.zeros(table.shape[1], dtype=np.bool_), oldest_leaves=True)
+    cleared = mark_suspects(after, after.feature_id, np.zeros(table.shape[1], dtype=np.bool_))
+    corrected(ego, cleared, oldest_leaves=True)
     alive = table.pixels[:, suspects & table.seen_now]
     assert pixel_set(taken[-1]) & pixel_set(alive[np.isfinite(alive[..., 0])][:, :2])
+
+
+def test_features_that_ended_as_suspects_are_never_used(
+    make_drive: MakeDrive, taken: list[FloatArray]
+) -> None:
+    ego, table = filled_window(make_drive(6, 1.0), 6)
+    suspects: BoolArray = np.arange(table.shape[1]) % 2 == 0
+    table = mark_suspects(table, table.feature_id, suspects)
+    table = end_tracks(table, np.ones(table.shape[1], dtype=np.bool_))
+    _, after = corrected(ego, table)
+    given, of_suspects = pixel_set(np.concatenate(taken)), table.pixels[:, suspects]
+    assert given
+    assert not given & pixel_set(of_suspects[np.isfinite(of_suspects[..., 0])][:, :2])
+    assert after.used[np.isfinite(table.pixels[..., 0])].all()  # nor can they be later
+
+
+def test_features_beyond_the_cap_keep_their_views_while_they_are_seen(
+    make_drive: MakeDrive, taken: list[FloatArray]
+) -> None:
+    ego, table = filled_window(make_drive(7, 1.0), 6)
+    settings = ego.settings.filter.model_copy(update={"max_features_per_update": 5})
+    _, after = correction.correct_with_features(
+        ego.state, table, ego.rig, settings, oldest_leaves=True
+    )
+    used = after.used.any(axis=0)
+    assert len(taken) == 1
+    assert (used & table.seen_now).sum() == 5
 
 
 def test_the_longest_tracks_come_first(make_drive: MakeDrive, taken: list[FloatArray]) -> None:
@@ -291,10 +319,7 @@ def test_the_longest_tracks_come_first(make_drive: MakeDrive, taken: list[FloatA
     settings = ego.settings.filter.model_copy(update={"max_features_per_update": 5})
     table = end_tracks(table, np.ones(table.shape[1], dtype=np.bool_))
     views = np.isfinite(table.pixels[..., 0]).sum(axis=0)
-    held_back = np.zeros(table.shape[1], dtype=np.bool_)
-    correction.correct_with_features(
-        ego.state, table, ego.rig, settings, held_back, oldest_leaves=False
-    )
+    correction.correct_with_features(ego.state, table, ego.rig, settings, oldest_leaves=False)
     assert len(taken) == 1
     assert len(taken[0]) == np.sort(views)[-5:].sum()
 
@@ -400,7 +425,7 @@ def test_clones_of_fast_frames_leave_before_the_newest(make_drive: MakeDrive) ->
     for frame in drive.frames:
         ego = ego.predict(frame.timestamp_ns, drive.imu)
         table = append_frame(table, frame)
-        ego, table = ego.correct(table, np.zeros(table.shape[1], dtype=np.bool_))
+        ego, table = ego.correct(table)
         ego, table = ego.forget(table)
         assert ego.window().timestamp_ns[-1] == frame.timestamp_ns
     gaps = np.diff(ego.window().timestamp_ns) * 1e-9

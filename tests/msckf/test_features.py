@@ -130,10 +130,10 @@ def test_a_point_behind_a_camera_gives_no_rows(state: State, rig: StereoRig) -> 
 def test_features_are_triangulated_in_world(state: State, rig: StereoRig) -> None:
     normalized = per_clone(state, rig, POINTS, "normalized")
     normalized[1, :, 2:] = np.nan
-    found = triangulate_features(state, rig, normalized, 1.0, 50.0)
+    found = triangulate_features(state, rig, normalized, 1.0, (0.1, 50.0))
     assert found.valid.all()
     np.testing.assert_allclose(found.p_world, POINTS, atol=1e-5)
-    assert not triangulate_features(state, rig, normalized, 1.0, 5.0).valid.any()
+    assert not triangulate_features(state, rig, normalized, 1.0, (0.1, 5.0)).valid.any()
 
 
 def random_system(rng: np.random.Generator, n_features: int, m: int, k: int) -> FeatureSystem:

@@ -11,10 +11,12 @@ from scipy.linalg import expm
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.splines import PoseSpline
+from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.propagation import (
     INTEGRATORS,
     Propagation,
     clone_pose,
+    integrate_rk4,
     propagate,
     propagate_imu,
 )
@@ -35,7 +37,7 @@ from ovmot.msckf.state import (
     no_clones,
 )
 from ovmot.sim.imu import noisy_imu, perfect_imu
-from ovmot.types import ImuData, ImuNoise
+from ovmot.types import ImuData, ImuNoise, ImuSample
 
 G = 9.81
 BLOCKS = {
@@ -204,22 +206,31 @@ def test_noise_is_the_scatter_of_the_end(
     np.testing.assert_allclose(white, np.eye(N_IMU), atol=0.3)
 
 
-def test_a_gap_leaves_the_end_uncertain(
+def test_a_gap_leaves_the_end_uncertain_also_with_frames_inside_it(
     curvy_path: PoseSpline, start_ns: int, noise: ImuNoise
 ) -> None:
-    imu = imu_state(curvy_path, start_ns)
-    t = stamps(start_ns, 0.4, 100.0)
+    t = stamps(start_ns, 1.5, 100.0)
+    data = perfect_imu(curvy_path, t)
 
     def position_sigma(kept: BoolArray) -> float:
-        Q = run(imu, perfect_imu(curvy_path, t[kept]), noise, "rk4").noise
-        return float(np.sqrt(Q[POSITION, POSITION].max()))
+        """After frames at 10 Hz over the whole stretch, each cut from what is left."""
+        buffer = ImuBuffer()
+        for i in np.flatnonzero(kept):
+            buffer.append(ImuSample(int(t[i]), data.gyro[i], data.accel[i]))
+        imu, P = imu_state(curvy_path, start_ns), np.zeros((N_IMU, N_IMU))
+        for begin in range(start_ns, int(t[-1]), 100_000_000):
+            cut = buffer.between(begin, begin + 100_000_000)
+            unseen = buffer.spacing_s(cut) > 0.1
+            step = propagate_imu(imu, imu, cut, noise, 9.81, integrate_rk4, unseen)
+            imu, P = step.imu, step.transition @ P @ step.transition.T + step.noise
+        return float(np.sqrt(P[POSITION, POSITION].max()))
 
-    all_samples = np.ones(len(t), dtype=np.bool_)
-    short_gap, long_gap = all_samples.copy(), all_samples.copy()
-    short_gap[11:15] = False  # 50 ms
-    long_gap[11:25] = False  # 150 ms, over max_gap_s
-    assert position_sigma(short_gap) < 1.5 * position_sigma(all_samples)
-    assert position_sigma(long_gap) > 20.0 * position_sigma(all_samples)
+    everything = np.ones(len(t), dtype=np.bool_)
+    short_gap, long_gap = everything.copy(), everything.copy()
+    short_gap[21:25] = False  # 50 ms
+    long_gap[21:81] = False  # 0.6 s, with six frames inside
+    assert position_sigma(short_gap) < 1.5 * position_sigma(everything)
+    assert position_sigma(long_gap) > 100.0 * position_sigma(everything)
 
 
 def unobservable(imu: ImuState) -> FloatArray:

@@ -11,11 +11,13 @@ import ovmot
 from ovmot.config import EpipolarSettings, Settings
 from ovmot.errors import OvmotError
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
+from ovmot.types import ImuNoise
 
 
 def summary(ended: str = "finished") -> RunSummary:
     return RunSummary(
         settings=Settings(epipolar=EpipolarSettings(threshold_px=2.25)),
+        imu_noise=ImuNoise(1e-4, 2e-5, 3e-3, 4e-4),
         source=InputIdentity("données/seq", "euroc", 161, 3200, 1_403_636_584_763_555_584, None),
         counts={"frames_in": 161, "frames_written": np.int64(146)},  # type: ignore[dict-item]
         warnings={"IMU gap longer than 0.1 s": 2},

@@ -30,27 +30,27 @@ def correct_with_features(
     table: TrackTable,
     rig: StereoRig,
     settings: FilterSettings,
-    held_back: BoolArray,
     *,
     oldest_leaves: bool,
 ) -> tuple[State, TrackTable]:
     """Update by features that ended, or that the oldest clone, about to leave, still holds.
 
-    `held_back` (F,): features under suspicion, not to be used in this frame. Observations of
-    every feature chosen are marked as used, also those of features that fail a test.
+    Features that were suspect when last seen are not used. Observations of the chosen features are
+    marked as used, also where a test then refuses them, and all those of features that are gone.
     """
     usable = usable_observations(table, state)
     views = usable.sum(axis=0)
-    ended = ~table.seen_now & (views > 0)
+    gone = ~table.seen_now
+    due = gone & (views > 0)
     if oldest_leaves and len(state.clones):
         oldest = table.frame_ns == state.clones.timestamp_ns[0]
-        ended |= usable[oldest].any(axis=0)
-    chosen = ended & (views >= _MIN_VIEWS) & ~held_back
+        due |= usable[oldest].any(axis=0)
+    chosen = due & (views >= _MIN_VIEWS) & ~table.suspect
     if chosen.sum() > settings.max_features_per_update:
         ranked = np.argsort(np.where(chosen, -views, 1), kind="stable")
         chosen = np.zeros_like(chosen)
         chosen[ranked[: settings.max_features_per_update]] = True
-    spent = usable & ended & ~(held_back & table.seen_now)
+    spent = usable & (chosen | gone)
     if chosen.any():
         pixels, normalized = _per_clone(table, state, usable, chosen)
         state = update_with_tracks(state, rig, pixels, normalized, settings)
@@ -66,8 +66,9 @@ def update_with_tracks(
 ) -> State:
     """MSCKF update by features seen as (F, K, 4) from the K clones."""
     sigma = settings.pixel_sigma
-    points = triangulate_features(state, rig, normalized, sigma, settings.max_depth_m)
-    keep = points.valid & (points.depth > settings.min_depth_m)
+    depth_range = (settings.min_depth_m, settings.max_depth_m)
+    points = triangulate_features(state, rig, normalized, sigma, depth_range)
+    keep = points.valid
     if not keep.any():
         return state
     system = linearize(state, rig, pixels[keep], points.p_world[keep], sigma)

@@ -6,12 +6,12 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
-from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf import propagation
 from ovmot.msckf.correction import correct_with_features
 from ovmot.msckf.state import FIRST_CLONE, N_IMU, TIME_OFFSET, State, drop_clone
-from ovmot.msckf.zero_velocity import is_standing, still_share, zero_velocity_update
+from ovmot.msckf.stillness import picture_is_still
+from ovmot.msckf.zero_velocity import prediction_allows_standing, zero_velocity_update
 from ovmot.tracks import TrackTable, keep_window, share_clone
 from ovmot.types import EgoEstimate, ImuNoise, PoseWindow
 
@@ -39,7 +39,7 @@ class FilterEgo:
     def predict(self, frame_ns: int, imu: ImuBuffer) -> "FilterEgo":
         """Propagate to the frame and clone its pose; `imu` must reach its time."""
         end_ns = self.imu_time_ns(frame_ns)
-        if end_ns <= self.state.timestamp_ns:  # the frame at which the filter starts
+        if end_ns == self.state.timestamp_ns and not len(self.state.clones):  # the first frame
             rate = imu.at(end_ns).gyro - self.state.imu.gyro_bias
             return replace(self, state=propagation.clone_pose(self.state, frame_ns, rate))
         samples = imu.between(self.state.timestamp_ns, end_ns)
@@ -50,45 +50,48 @@ class FilterEgo:
             self.noise,
             self.settings.filter.gravity_mps2,
             propagation.INTEGRATORS[self.settings.filter.integration],
-            self.settings.imu.max_gap_s,
+            imu.spacing_s(samples) > self.settings.imu.max_gap_s,
         )
         state = propagation.propagate(self.state, result, end_ns)
         return replace(self, state=propagation.clone_pose(state, frame_ns, result.angular_velocity))
 
-    def correct(self, table: TrackTable, moving: BoolArray) -> tuple["FilterEgo", TrackTable]:
-        """Zero velocity when standing, then the visual update.
-
-        `moving` (F,): columns of the table that are dynamic or under suspicion in this frame.
-        """
-        state = self.state
-        standing = is_standing(
-            state, _share_of_still(table, moving, self.settings), self.settings.zero_velocity
+    def correct(self, table: TrackTable) -> tuple["FilterEgo", TrackTable]:
+        """Zero velocity when standing, then the visual update."""
+        state, still = self.state, self.settings.zero_velocity
+        standing = (
+            still.enabled
+            and picture_is_still(table, self.rig, still)
+            and prediction_allows_standing(state, still)
         )
         if standing:
-            state = zero_velocity_update(state)
-        full = len(state.clones) > self.settings.filter.max_clones
+            state = zero_velocity_update(state, still)
+        leaving = self._leaving(standing) == 0
         state, table = correct_with_features(
-            state, table, self.rig, self.settings.filter, moving,
-            oldest_leaves=full and not standing,
-        )  # fmt: skip
+            state, table, self.rig, self.settings.filter, oldest_leaves=leaving
+        )
         return replace(self, state=state, standing=standing), table
 
     def forget(self, table: TrackTable) -> tuple["FilterEgo", TrackTable]:
-        """Let a clone go: the newest when standing, one that is too close, or the oldest.
-
-        Before the newest, so that the next frame can still be predicted from it.
-        """
+        """Let a clone go; the frames of a standstill share the one that stays."""
         state, stamps = self.state, self.state.clones.timestamp_ns
-        spacing_ns = _SPACING_SLACK * 1e9 * self.settings.filter.clone_spacing_s
-        if self.standing and len(stamps) >= 2:
-            state = drop_clone(state, len(stamps) - 1)
+        leaving = self._leaving(self.standing)
+        if leaving is not None:
+            state = drop_clone(state, leaving)
+        if self.standing and leaving is not None:
             table = share_clone(table, int(stamps[-1]), int(stamps[-2]))
-        elif len(stamps) >= 3 and stamps[-1] - stamps[-3] <= spacing_ns:
-            state = drop_clone(state, len(stamps) - 2)
-        elif len(stamps) > self.settings.filter.max_clones:
-            state = drop_clone(state, 0)
         table = keep_window(table, state.clones.timestamp_ns)
         return replace(self, state=state), table
+
+    def _leaving(self, standing: bool) -> int | None:
+        """Which clone leaves after this frame: the newest when standing, one that is too close to
+        its neighbours (before the newest: the next frame is predicted from that), or the oldest."""
+        stamps = self.state.clones.timestamp_ns
+        n, settings = len(stamps), self.settings.filter
+        if standing and n >= 2:
+            return n - 1
+        if n >= 3 and stamps[-1] - stamps[-3] <= _SPACING_SLACK * 1e9 * settings.clone_spacing_s:
+            return n - 2
+        return 0 if n > settings.max_clones else None
 
     def window(self) -> PoseWindow:
         """The clones' poses and their covariance."""
@@ -113,12 +116,3 @@ class FilterEgo:
             time_offset_std_s=float(np.sqrt(max(P[TIME_OFFSET, TIME_OFFSET], 0.0))),
             standing=self.standing,
         )
-
-
-def _share_of_still(table: TrackTable, moving: BoolArray, settings: Settings) -> float:
-    if table.shape[0] < 2:
-        return 0.0
-    now: FloatArray = table.pixels[-1, :, :2]
-    return still_share(
-        now, table.pixels[-2, :, :2], ~moving & ~table.barred, settings.zero_velocity.pixel
-    )

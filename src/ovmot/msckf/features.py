@@ -31,7 +31,11 @@ class FeatureSystem:
 
 
 def triangulate_features(
-    state: State, rig: StereoRig, normalized: FloatArray, sigma_px: float, max_depth: float
+    state: State,
+    rig: StereoRig,
+    normalized: FloatArray,
+    sigma_px: float,
+    depth_range: tuple[float, float],
 ) -> ManyViewPoints:
     """Points of features seen as `normalized` (F, K, 4) from the state's K clones."""
     n_features, n_clones, _ = normalized.shape
@@ -40,9 +44,7 @@ def triangulate_features(
         [se3.inverse(rig.T_imu_cam0) @ T_imu_world, se3.inverse(rig.T_imu_cam1) @ T_imu_world], 1
     ).reshape(2 * n_clones, 4, 4)
     views = normalized.reshape(n_features, 2 * n_clones, 2)
-    return triangulate_many_views(
-        views, T_views, sigma_px / rig.cam0.fx, depth_range=(0.1, max_depth)
-    )
+    return triangulate_many_views(views, T_views, sigma_px / rig.cam0.fx, depth_range=depth_range)
 
 
 def linearize(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry import so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.msckf.state import (
     ACCEL_BIAS,
     GYRO_BIAS,
@@ -96,9 +96,12 @@ def propagate_imu(
     noise: ImuNoise,
     gravity: float,
     integrator: Integrator,
-    max_gap_s: float = 0.1,
+    unseen: BoolArray | None = None,
 ) -> Propagation:
-    """Integrate `samples`, whose first and last stamps are the interval's ends.
+    """Integrate `samples` (n + 1), whose first and last stamps are the interval's ends.
+
+    `unseen` (n,) marks the pairs that lie in a hole of the stream: what was interpolated there was
+    not measured, and its noise is that of a vehicle's motion.
 
     Φ maps the error at the start to the end; its motion blocks are written by the positions at
     both ends, the start taken at the first estimates (J. Hesch et al., TRO 2014), so that
@@ -110,7 +113,7 @@ def propagate_imu(
     mean_rate, mean_accel = 0.5 * (gyro[:-1] + gyro[1:]), 0.5 * (accel[:-1] + accel[1:])
     g = np.array([0.0, 0.0, -gravity])
     R = _chain(imu.R_world_imu, parts.rotation)
-    F, Q = _interval_matrices(R[:-1], parts, mean_rate, mean_accel, noise, max_gap_s)
+    F, Q = _interval_matrices(R[:-1], parts, mean_rate, mean_accel, noise, unseen)
     v, p = imu.velocity, imu.position
     transition, covariance = np.eye(N_IMU), np.zeros((N_IMU, N_IMU))
     for i, h in enumerate(dt):
@@ -179,7 +182,7 @@ def _interval_matrices(
     rate: FloatArray,
     accel: FloatArray,
     noise: ImuNoise,
-    max_gap_s: float,
+    unseen: BoolArray | None,
 ) -> tuple[FloatArray, FloatArray]:
     """Transition and noise (n, 15, 15) of each sample pair that starts at rotation R (n, 3, 3).
 
@@ -201,7 +204,7 @@ def _interval_matrices(
     F[:, VELOCITY, GYRO_BIAS] = 0.5 * RA * h**2
     F[:, VELOCITY, ACCEL_BIAS] = -R * h
 
-    gap = h > max_gap_s
+    gap = np.zeros((n, 1, 1), np.bool_) if unseen is None else unseen[:, None, None]
     gyro_variance = np.where(gap, _GAP_GYRO, noise.gyro) ** 2
     accel_variance = np.where(gap, _GAP_ACCEL, noise.accel) ** 2
     Q = np.zeros((n, N_IMU, N_IMU))

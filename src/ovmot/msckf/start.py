@@ -14,7 +14,7 @@ from ovmot.msckf.ego import FilterEgo
 from ovmot.msckf.start_at_rest import StartPrior, rest_failure, start_at_rest
 from ovmot.msckf.start_in_motion import CannotStart, start_in_motion
 from ovmot.msckf.state import State
-from ovmot.msckf.zero_velocity import still_share
+from ovmot.msckf.stillness import still_share
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 
 _MIN_REST_FRAMES = 3
@@ -30,13 +30,17 @@ class FilterStart:
     noise: ImuNoise
     settings: Settings
 
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """A frame's time on the IMU's clock, by the calibration's time offset."""
+        return frame_ns + round(self.rig.time_offset_s * 1e9)
+
     def imu_needed_until(self, frame_ns: int) -> int | None:
         """The IMU time that must be reached before this frame is looked at.
 
         A little more than the frame's own: the filter may move the time offset while it goes
         through the frames it was started on.
         """
-        return self._imu_ns(frame_ns) + round(
+        return self.imu_time_ns(frame_ns) + round(
             1e9 * _OFFSET_SIGMAS * self._prior().time_offset_sigma_s
         )
 
@@ -57,12 +61,12 @@ class FilterStart:
 
     def _at_rest(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State | str:
         settings = self.settings.initialization
-        now = self._imu_ns(frames[-1].timestamp_ns)
+        now = self.imu_time_ns(frames[-1].timestamp_ns)
         first = imu.first_ns
         begin = now - round(1e9 * settings.window_s)
         if len(frames) < _MIN_REST_FRAMES or first is None or first > begin:
             return f"fewer than {_MIN_REST_FRAMES} frames over {settings.window_s:g} s of IMU"
-        start = self._imu_ns(frames[0].timestamp_ns)
+        start = self.imu_time_ns(frames[0].timestamp_ns)
         samples = imu.between(min(begin, start), now)
         failure = rest_failure(samples, _share(frames, settings.rest_pixel), settings)
         if failure is not None:
@@ -73,12 +77,9 @@ class FilterStart:
     def _in_motion(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State:
         if len(frames) < _MIN_MOTION_FRAMES:
             raise CannotStart(f"only {len(frames)} frames (at least {_MIN_MOTION_FRAMES})")
-        stamps = [self._imu_ns(f.timestamp_ns) for f in frames]
+        stamps = [self.imu_time_ns(f.timestamp_ns) for f in frames]
         pieces: list[ImuData] = [imu.between(a, b) for a, b in pairwise(stamps)]
         return start_in_motion(frames, pieces, self.rig, self.noise, self._prior())
-
-    def _imu_ns(self, frame_ns: int) -> int:
-        return frame_ns + round(self.rig.time_offset_s * 1e9)
 
     def _prior(self) -> StartPrior:
         known = self.settings.filter

@@ -16,6 +16,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.imu_buffer import integrated_rotation
 from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
 from ovmot.msckf.start_at_rest import GAUGE_SIGMA, StartPrior
 from ovmot.msckf.state import (
@@ -109,15 +110,6 @@ def stereo_path(
         variance.append(variance[-1] + spread + _MIN_STEP_SIGMA**2)
     T = rig.T_imu_cam0 @ np.array(T_start_cam) @ se3.inverse(rig.T_imu_cam0)
     return StereoPath(T, _INFLATION * np.sqrt(np.array(variance)))
-
-
-def integrated_rotation(samples: ImuData) -> FloatArray:
-    """R_start_end (3, 3) of the gyroscope alone, no bias taken off."""
-    dt = np.diff(samples.timestamp_ns) * 1e-9
-    R = np.eye(3)
-    for step in so3.exp(0.5 * (samples.gyro[:-1] + samples.gyro[1:]) * dt[:, None]):
-        R = R @ step
-    return R
 
 
 def _integrate_from_start(

@@ -48,9 +48,8 @@ class Clones:
 class State:
     """The whole filter: estimate, first estimates and covariance.
 
-    `time_s` is the estimate's time on the IMU's clock, relative to no epoch in particular: it is
-    kept as integer nanoseconds in `timestamp_ns`. `imu_first` holds the values at which the
-    Jacobians of the next propagation start (first-estimate Jacobians, G. Huang et al., ISER
+    `timestamp_ns` is the estimate's time on the IMU's clock. `imu_first` holds the values at which
+    the Jacobians of the next propagation start (first-estimate Jacobians, G. Huang et al., ISER
     2008). `time_offset_s`: t_imu = t_camera + offset.
     """
 

@@ -138,7 +138,7 @@ def _ego_covariance(
 
 
 def _pair_covariance(covariance: FloatArray, a: int, b: int) -> FloatArray:
-    """Joint covariance (12, 12) of clones a and b; a clone compared with itself adds nothing."""
+    """Joint covariance (12, 12) of clones a and b."""
     index = np.r_[6 * a : 6 * a + 6, 6 * b : 6 * b + 6]
     pair: FloatArray = covariance[np.ix_(index, index)]
     return pair

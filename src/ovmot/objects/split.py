@@ -10,22 +10,27 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import SplitSettings
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
 from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import MOTION_TESTS, Evidence, Verdict
 from ovmot.tracks import TrackTable
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
 
-LOOK_BACK_S = (1.5, 0.8, 0.3)  # and always the last frame
+_MAX_MOVING_SHARE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """The points of a frame, and which of them (N,) an update should not touch for now."""
+    """The points of a frame, and which of them (N,) an update should not touch for now.
+
+    `plausible` is False where most of what was tested seems to move: then the prediction is as
+    likely to be wrong as the world is to move, and no point should be written off for good.
+    """
 
     points: ScenePoints
     suspect: BoolArray
+    plausible: bool
 
 
 def split_points(
@@ -37,52 +42,55 @@ def split_points(
 ) -> Split:
     """Label the N features of the newest frame as static, dynamic or unknown.
 
-    `table` holds that frame as its last row, `window` the predicted poses of its clones.
+    `table` holds that frame as its last row, `window` the predicted poses of its clones. Judged are
+    features in stereo now and earlier, near enough both times; the others are unknown.
     """
-    column = _columns_of(table, seen.feature_id)
-    p_cam0 = triangulate_stereo(seen.normalized, rig.T_cam1_cam0)
-    sigma = plane_sigma(rig, settings.pixel_sigma)
-    cov_cam0 = stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma)
-    rows = _look_back_rows(table, window) if settings.enabled else np.empty(0, dtype=np.int64)
-    if len(rows) == 0:
-        return _unjudged(seen, p_cam0, cov_cam0, settings)
+    points = _unjudged(seen, rig, settings)
+    rows = _look_back_rows(table, window, settings.look_back_s)
+    with np.errstate(invalid="ignore"):
+        near = np.flatnonzero(points.p_cam0[:, 2] < settings.max_range_m)
+    if not settings.enabled or len(rows) == 0 or len(near) == 0:
+        return Split(points, ~seen.two_view_inlier, plausible=True)
+    column = _columns_of(table, seen.feature_id[near])
     history = StereoHistory(
         then=table.normalized[rows][:, column],
-        now=seen.normalized,
+        now=seen.normalized[near],
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((seen.timestamp_ns - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.drift_per_flow)
-    comparison = _within_range(comparison, p_cam0, settings.max_range_m)
-    distance, reprojection = last_interval(comparison, p_cam0, seen, rig, settings)
+    comparison = _within_range(comparison, settings.max_range_m)
+    p_cam0, cov_cam0 = points.p_cam0[near], points.cov_cam0[near]
+    distance, reprojection = last_interval(comparison, p_cam0, history.now, rig, settings)
     evidence = Evidence(comparison, p_cam0, cov_cam0, distance, reprojection)
     verdict = MOTION_TESTS[settings.test](evidence, settings)
     if settings.candidates == "ransac":
-        verdict = _only_rejected(verdict, seen.two_view_inlier)
-    label = np.full(len(seen), int(PointLabel.UNKNOWN), dtype=np.int64)
+        verdict = _only_rejected(verdict, seen.two_view_inlier[near])
+    points = replace(
+        points,
+        label=_put(points.label, near, _labels(verdict)),
+        previous=_put(points.previous, near, table.pixels[rows[-1], column, :2]),
+        predicted=_put(points.predicted, near, rig.cam0.project(comparison.predicted[-1])),
+        distance_m=_put(points.distance_m, near, distance),
+        reprojection_px=_put(points.reprojection_px, near, reprojection),
+    )
+    off = verdict.moving | verdict.unclear
+    suspect = _put(~seen.two_view_inlier, near[verdict.tested], off[verdict.tested])
+    mostly_moving = off.sum() > _MAX_MOVING_SHARE * verdict.tested.sum()
+    return Split(points, suspect, plausible=not mostly_moving)
+
+
+def _labels(verdict: Verdict) -> IntArray:
+    label = np.full(len(verdict.tested), int(PointLabel.UNKNOWN), dtype=np.int64)
     label[verdict.tested & ~verdict.unclear] = int(PointLabel.STATIC)
     label[verdict.moving] = int(PointLabel.DYNAMIC)
-    points = ScenePoints(
-        feature_id=seen.feature_id,
-        pixels=seen.pixels,
-        p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, plane_sigma(rig, settings.pixel_sigma)),
-        label=label,
-        track_id=np.full(len(seen), -1, dtype=np.int64),
-        previous=table.pixels[rows[-1], column, :2],
-        predicted=rig.cam0.project(comparison.predicted[-1]),
-        distance_m=distance,
-        reprojection_px=reprojection,
-        two_view_inlier=seen.two_view_inlier,
-    )
-    suspect = verdict.moving | verdict.unclear | (~seen.two_view_inlier & ~verdict.tested)
-    return Split(points, suspect)
+    return label
 
 
 def last_interval(
     comparison: Comparison,
     p_cam0: FloatArray,
-    seen: FrontendFrame,
+    normalized: FloatArray,
     rig: StereoRig,
     settings: SplitSettings,
 ) -> tuple[FloatArray, FloatArray]:
@@ -95,12 +103,14 @@ def last_interval(
     weights = np.array([1.0, 1.0, settings.depth_weight])
     distance: FloatArray = np.linalg.norm((p_cam0 - predicted) * weights, axis=-1)
     focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
-    off = (seen.normalized - project_stereo(predicted, rig.T_cam1_cam0)[0]) * focal
+    off = (normalized - project_stereo(predicted, rig.T_cam1_cam0)[0]) * focal
     reprojection = np.maximum(np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3]))
     return distance, reprojection
 
 
-def _look_back_rows(table: TrackTable, window: PoseWindow) -> IntArray:
+def _look_back_rows(
+    table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...]
+) -> IntArray:
     """Earlier rows to compare with, oldest first: near each look-back time, and the last."""
     posed = np.isin(table.clone_ns, window.timestamp_ns)
     posed[-1] = False
@@ -109,7 +119,7 @@ def _look_back_rows(table: TrackTable, window: PoseWindow) -> IntArray:
         return rows
     age = (table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9
     wanted = {int(rows[-1])}
-    for span in LOOK_BACK_S:
+    for span in look_back_s:
         near = int(np.argmin(np.abs(age - span)))
         if 0.5 * span < age[near] < 1.5 * span:
             wanted.add(int(rows[near]))
@@ -121,10 +131,10 @@ def _columns_of(table: TrackTable, feature_id: IntArray) -> IntArray:
     return order[np.searchsorted(table.feature_id, feature_id, sorter=order)]
 
 
-def _within_range(comparison: Comparison, p_cam0: FloatArray, max_range: float) -> Comparison:
-    """Only comparisons whose point is in front of both cameras and near enough, then and now."""
+def _within_range(comparison: Comparison, max_range: float) -> Comparison:
+    """Only comparisons whose carried point is near enough too."""
     with np.errstate(invalid="ignore"):
-        near = (p_cam0[:, 2] < max_range) & (comparison.predicted[..., 2] < max_range)
+        near = comparison.predicted[..., 2] < max_range
     return replace(comparison, residual=np.where(near[..., None], comparison.residual, np.nan))
 
 
@@ -133,18 +143,18 @@ def _only_rejected(verdict: Verdict, inlier: BoolArray) -> Verdict:
     return Verdict(verdict.tested, verdict.moving & ~inlier, verdict.unclear & ~inlier)
 
 
-def _unjudged(
-    seen: FrontendFrame, p_cam0: FloatArray, cov_cam0: FloatArray, settings: SplitSettings
-) -> Split:
+def _unjudged(seen: FrontendFrame, rig: StereoRig, settings: SplitSettings) -> ScenePoints:
     """All points unknown (nothing to compare with), or static where the split is switched off."""
     label = PointLabel.UNKNOWN if settings.enabled else PointLabel.STATIC
     n = len(seen)
     nothing = np.full((n, 2), np.nan)
-    points = ScenePoints(
+    p_cam0 = triangulate_stereo(seen.normalized, rig.T_cam1_cam0)
+    sigma = plane_sigma(rig, settings.pixel_sigma)
+    return ScenePoints(
         feature_id=seen.feature_id,
         pixels=seen.pixels,
         p_cam0=p_cam0,
-        cov_cam0=cov_cam0,
+        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
         label=np.full(n, int(label), dtype=np.int64),
         track_id=np.full(n, -1, dtype=np.int64),
         previous=nothing,
@@ -153,4 +163,10 @@ def _unjudged(
         reprojection_px=nothing[:, 0],
         two_view_inlier=seen.two_view_inlier,
     )
-    return Split(points, np.zeros(n, dtype=np.bool_))
+
+
+def _put(values: AnyArray, index: IntArray, new: AnyArray) -> AnyArray:
+    """A copy of `values` with those at `index` replaced."""
+    out = values.copy()
+    out[index] = new
+    return out

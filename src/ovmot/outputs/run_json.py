@@ -16,6 +16,7 @@ import scipy
 import ovmot
 from ovmot.config import Settings
 from ovmot.errors import OvmotError
+from ovmot.types import ImuNoise
 
 RUN_JSON = "run.json"
 PARTIAL_RUN_JSON = "run.json.part"
@@ -37,12 +38,14 @@ class InputIdentity:
 class RunSummary:
     """A run in numbers.
 
+    `imu_noise` is what the filter used: from the settings, the data or the fallback.
     `counts` by name (frames_in, frames_written, imu_samples, resets, frames_dropped, ...);
     `warnings` says how often each was given; `ended` is `finished`, `interrupted` or
     `failed: <message>`; `wall_seconds` is how long it took.
     """
 
     settings: Settings
+    imu_noise: ImuNoise | None
     source: InputIdentity
     counts: Mapping[str, int]
     warnings: Mapping[str, int]
@@ -92,6 +95,7 @@ def _as_json(summary: RunSummary) -> dict[str, Any]:
             {"message": message, "count": int(count)} for message, count in summary.warnings.items()
         ],
         "settings": summary.settings.model_dump(mode="json"),
+        "imu_noise": None if summary.imu_noise is None else asdict(summary.imu_noise),
         "versions": versions(),
         "wall_seconds": round(float(summary.wall_seconds), 3),
     }
