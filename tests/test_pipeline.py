@@ -2,11 +2,12 @@
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from ovmot import pipeline as pipeline_module
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
@@ -17,6 +18,7 @@ from ovmot.msckf import correction
 from ovmot.msckf.ego import FilterEgo
 from ovmot.msckf.start import FilterStart
 from ovmot.msckf.state import State
+from ovmot.objects.split import Split, split_points
 from ovmot.pipeline import Pipeline, camera_motion
 from ovmot.tracks import TrackTable
 from ovmot.types import (
@@ -396,3 +398,57 @@ def test_camera_motion_maps_the_earlier_camera_into_the_present_one(
     np.testing.assert_allclose(moved, [0.2, 0.0, 5.0], atol=1e-12)
     one = PoseWindow(np.array([1]), T[:1], np.zeros((6, 6)))
     np.testing.assert_array_equal(camera_motion(one, painted_rig), np.eye(4))
+
+
+@pytest.mark.parametrize("offset_s", [-1.5, 0.3])
+def test_a_large_known_time_offset_changes_nothing(
+    painted_rig: StereoRig,
+    drive: tuple[list[StereoFrame], list[ImuSample]],
+    driven: list[FrameResult],
+    offset_s: float,
+) -> None:
+    frames, imu = drive
+    shift = round(1e9 * offset_s)
+    late = [replace(sample, timestamp_ns=sample.timestamp_ns + shift) for sample in imu]
+    results = run(with_filter(replace(painted_rig, time_offset_s=offset_s)), merged(frames, late))
+    assert [r.timestamp_ns for r in results] == [r.timestamp_ns for r in driven]
+    for shifted, plain in zip(results, driven, strict=True):
+        np.testing.assert_allclose(shifted.ego.T_world_imu, plain.ego.T_world_imu, atol=1e-9)
+
+
+def test_the_imu_does_not_pile_up_before_a_start(
+    painted_rig: StereoRig, painted_pair: Pair
+) -> None:
+    restless = replace_settings(rest_gyro_rps=1e-9, motion_window_s=1.2)
+    pipeline = Pipeline(painted_rig, restless, FilterStart(painted_rig, NOISE, restless))
+    still = [painted_pair(ORIGIN_NS + 10**9 * i, 0.0, 0.0, 0) for i in range(8)]  # too seldom
+    imu = [ImuSample(ORIGIN_NS + 5_000_000 * k, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+           for k in range(1600)]  # fmt: skip
+    assert run(pipeline, merged(still, imu)) == []
+    assert "not at rest" in pipeline.not_started_because
+    assert len(pipeline._imu) < 200 * (1.44 + 0.5 + 1.0 + 2.5)
+
+
+def test_where_most_seems_to_move_nothing_is_barred_for_good(
+    painted_rig: StereoRig,
+    drive: tuple[list[StereoFrame], list[ImuSample]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+
+    def panic(*arguments: object) -> Split:
+        split = split_points(*arguments)  # type: ignore[arg-type]
+        label = np.full_like(split.points.label, int(PointLabel.DYNAMIC))
+        return Split(replace(split.points, label=label), ~(label == 0), plausible=False)
+
+    monkeypatch.setattr(pipeline_module, "split_points", panic)
+    pipeline = with_filter(painted_rig)
+    results = run(pipeline, merged(*drive))
+    assert len(results) > 5
+    assert pipeline.counts["frames_mostly_moving"] >= len(results)
+    assert not pipeline._table.barred.any()
+    assert pipeline._table.suspect.any()
+
+
+def replace_settings(**initialization: float) -> Settings:
+    changed = SETTINGS.initialization.model_copy(update=initialization)
+    return SETTINGS.model_copy(update={"initialization": changed})
