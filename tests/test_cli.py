@@ -228,10 +228,15 @@ def test_a_full_disk_is_exit_code_1(
     assert "No space left on device" in outcome.complaint
 
 
-def test_ctrl_c_on_the_real_process(painted_euroc: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_real_process(
+    painted_euroc: Path, tmp_path: Path, stop: signal.Signals
+) -> None:
     """The signal comes while frames are being written."""
     out = tmp_path / "out"
     slow = (
+        # a shell's background job starts with the signal ignored
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import time; from ovmot.outputs.run_writer import RunWriter; w = RunWriter.write\n"
         "def slow(self, result): w(self, result); time.sleep(0.3)\n"
         "RunWriter.write = slow\n"
@@ -246,7 +251,7 @@ def test_ctrl_c_on_the_real_process(painted_euroc: Path, tmp_path: Path) -> None
         if state.exists() and state.read_text().count("\n") >= 3:
             break
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(stop)
     _, err = process.communicate(timeout=30.0)
     assert process.returncode == 130, err
     assert "Traceback" not in err

@@ -1,5 +1,6 @@
 """The command line: thin, and the only place that prints errors and exits."""
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,7 +29,11 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; errors meant for the user become one line and an exit code."""
+    """Run the command line; errors meant for the user become one line and an exit code.
+
+    A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         app()
     except InputError as error:
