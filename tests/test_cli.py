@@ -85,8 +85,8 @@ def test_settings_lists_every_key(ovmot_command: Command, monkeypatch: pytest.Mo
     outcome = ovmot_command("settings")
     assert outcome.code == 0
     for key, _, default, _ in describe_settings():
-        line = next(line for line in outcome.out.splitlines() if f" {key} " in line)
-        assert f" {default} " in line
+        line = next(line for line in outcome.out.splitlines() if line.startswith(f"{key} "))
+        assert f" = {default} " in line
 
 
 def test_a_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:

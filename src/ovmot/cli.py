@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 import ovmot
@@ -116,10 +116,15 @@ def run(
 @app.command()
 def settings() -> None:
     """List every setting with its type, default and meaning."""
-    table = Table("setting", "type", "default", "meaning")
+    console = Console()
+    if not console.is_terminal:
+        for key, kind, default, meaning in describe_settings():
+            typer.echo(f"{key} = {default}  ({kind}) {meaning}")
+        return
+    table = Table(Column("setting", no_wrap=True), "type", "default", "meaning")
     for row in describe_settings():
         table.add_row(*(Text(cell) for cell in row))
-    Console().print(table)
+    console.print(table)
 
 
 def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:

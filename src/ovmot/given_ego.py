@@ -76,7 +76,7 @@ class GivenEgo:
             T_imu_cam0=self.rig.T_imu_cam0,
             T_imu_cam1=self.rig.T_imu_cam1,
             time_offset_s=self.rig.time_offset_s,
-            time_offset_std_s=0.0,
+            time_offset_std_s=float("nan"),
             standing=False,
         )
 

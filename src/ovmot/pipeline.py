@@ -175,6 +175,7 @@ class Pipeline:
             ego = self._start(tuple(self._pending), self._imu)
             if isinstance(ego, str):
                 self.not_started_because = ego
+                self.counts["frames_before_start"] += 1
                 return None
             while self._pending:
                 earlier = self._pending.popleft()

@@ -51,6 +51,7 @@ def run_sequence(
     counts: Counter[str] = Counter(sequence.counts)
     began = time.perf_counter()
     ended = "finished"
+    failure: BaseException | None = None
     pipeline = Pipeline(sequence.rig, settings, start)
     writer = open_outputs(
         options.out, rig=sequence.rig, save_points=options.save_points, video=options.video,
@@ -62,32 +63,55 @@ def run_sequence(
             if writer.frames_written == 0:
                 why = pipeline.not_started_because
                 raise OvmotError(f"{sequence.root}: never started: {why}")
-    except KeyboardInterrupt:
-        ended = "interrupted"
+    except KeyboardInterrupt as stop:
+        ended, failure = "interrupted", stop
         raise
     except Exception as error:
-        ended = f"failed: {error}"
+        ended, failure = f"failed: {error}", error
         raise
     finally:
         pipeline.close()
         counts["frames_written"] = writer.frames_written
         counts["frames_never_covered_by_imu"] = pipeline.dropped
         counts.update(pipeline.counts)
-        warnings = Counter(sequence.warnings)
-        if counts["frames_without_pose"]:
-            text = f"{options.ego_poses}: frames for which it has no pose: left out"
-            warnings[text] += counts["frames_without_pose"]
         summary = RunSummary(
             settings=settings,
+            options=_options(options, start),
             imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
             source=_identity(sequence),
             counts=counts,
-            warnings=warnings,
+            warnings=_warnings(sequence, options, counts),
             ended=ended,
             wall_seconds=time.perf_counter() - began,
         )
-        write_run_json(options.out, summary)
+        try:
+            write_run_json(options.out, summary)
+        except OvmotError as second:
+            if failure is None:
+                raise
+            failure.add_note(str(second))  # the first error is the one to report
     return summary
+
+
+def _warnings(sequence: FolderSequence, options: RunOptions, counts: Counter[str]) -> Counter[str]:
+    """What the reader noticed, and what happened to frames on the way."""
+    warnings = Counter(sequence.warnings)
+    if counts["frames_without_pose"]:
+        text = f"{options.ego_poses}: frames for which it has no pose: left out"
+        warnings[text] += counts["frames_without_pose"]
+    if counts["frames_before_start"]:
+        warnings["frames before the start, without a pose"] += counts["frames_before_start"]
+    return warnings
+
+
+def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
+    """What the run was asked for, beside its settings."""
+    return {
+        "ego": "poses" if isinstance(start, GivenStart) else "filter",
+        "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
+        "first": options.first,
+        "last": options.last,
+    }
 
 
 def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | None) -> Start:
@@ -154,7 +178,7 @@ def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> I
 def _identity(sequence: FolderSequence) -> InputIdentity:
     stamps = sequence.frame_ns
     return InputIdentity(
-        path=str(sequence.root),
+        path=str(sequence.root.resolve()),
         kind=sequence.kind,
         n_frames=len(sequence),
         n_imu_samples=0 if sequence.imu is None else len(sequence.imu),

@@ -17,6 +17,7 @@ from ovmot.types import ImuNoise
 def summary(ended: str = "finished") -> RunSummary:
     return RunSummary(
         settings=Settings(epipolar=EpipolarSettings(threshold_px=2.25)),
+        options={"ego": "filter", "first": 0, "last": None},
         imu_noise=ImuNoise(1e-4, 2e-5, 3e-3, 4e-4),
         source=InputIdentity("données/seq", "euroc", 161, 3200, 1_403_636_584_763_555_584, None),
         counts={"frames_in": 161, "frames_written": np.int64(146)},  # type: ignore[dict-item]

@@ -52,9 +52,11 @@ class FilterStart:
             if isinstance(resting, State):
                 return FilterEgo(resting, self.rig, self.noise, self.settings)
             reason = f"not at rest: {resting}"
-            if self._span_s(frames) >= self.settings.initialization.motion_window_s:
-                moving = self._in_motion(frames, imu)
-                return FilterEgo(moving, self.rig, self.noise, self.settings)
+            window_s = self.settings.initialization.motion_window_s
+            if self._span_s(frames) < window_s:
+                return f"{reason}; in motion: needs {window_s:g} s of frames"
+            moving = self._in_motion(frames, imu)
+            return FilterEgo(moving, self.rig, self.noise, self.settings)
         except (CannotStart, DatasetError, np.linalg.LinAlgError) as error:
             reason = f"{reason}; in motion: {error}"
         return reason

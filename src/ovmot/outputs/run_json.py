@@ -38,13 +38,15 @@ class InputIdentity:
 class RunSummary:
     """A run in numbers.
 
-    `imu_noise` is what the filter used: from the settings, the data or the fallback.
+    `options` is what it was asked beside the settings; `imu_noise` is what the filter used, from
+    the settings, the data or the fallback.
     `counts` by name (frames_in, frames_written, imu_samples, resets, frames_dropped, ...);
     `warnings` says how often each was given; `ended` is `finished`, `interrupted` or
     `failed: <message>`; `wall_seconds` is how long it took.
     """
 
     settings: Settings
+    options: Mapping[str, str | int | None]
     imu_noise: ImuNoise | None
     source: InputIdentity
     counts: Mapping[str, int]
@@ -94,6 +96,7 @@ def _as_json(summary: RunSummary) -> dict[str, Any]:
         "warnings": [
             {"message": message, "count": int(count)} for message, count in summary.warnings.items()
         ],
+        "options": dict(summary.options),
         "settings": summary.settings.model_dump(mode="json"),
         "imu_noise": None if summary.imu_noise is None else asdict(summary.imu_noise),
         "versions": versions(),
