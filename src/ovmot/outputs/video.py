@@ -24,7 +24,7 @@ _TICKS_PER_S = 90_000
 _NS_PER_S = 1_000_000_000
 _WAITING_FRAMES = 8
 _BT601, _LIMITED_RANGE = 6, 1  # what `COLOR_BGR2YUV_I420` makes; numbers of ITU-T H.273
-_OPTIONS = {"preset": "veryfast", "crf": "23"}
+_OPTIONS = {"preset": "superfast", "crf": "23"}
 
 
 def compose(result: FrameResult, rig: StereoRig) -> Image:
