@@ -14,7 +14,8 @@ from ovmot.datasets.registry import open_sequence
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.sim.render import render_stereo
-from ovmot.sim.scenes import Simulation, demo_simulation, street_rig
+from ovmot.sim.scenes import demo_simulation, street_rig
+from ovmot.sim.simulation import Simulation
 from ovmot.sim.writer import imu_times, write_kaist
 
 
@@ -60,15 +61,15 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     assert sequence.imu is not None
     times = imu_times(simulation)
     np.testing.assert_array_equal(sequence.imu.timestamp_ns, times)
-    gravity = sequence.imu.accel.mean(axis=0) - simulation.accel_bias
+    gravity = sequence.imu.accel.mean(axis=0) - simulation.imu.accel_bias
     np.testing.assert_allclose(gravity, [0.0, 0.0, 9.81], atol=0.02)  # it stands for 1.5 s
-    np.testing.assert_allclose(sequence.imu.gyro.mean(axis=0), simulation.gyro_bias, atol=1e-3)
+    np.testing.assert_allclose(sequence.imu.gyro.mean(axis=0), simulation.imu.gyro_bias, atol=1e-3)
     first = sequence.decode(sequence.left_paths[0])
     rng = np.random.default_rng(np.random.SeedSequence(1).spawn(2)[0])
     frame = next(
         render_stereo(
             simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-            simulation.image_noise, rng,
+            simulation.optics.noise_grey, rng,
         )
     )  # fmt: skip
     # demosaicing averages neighbours: it blurs the noise, and keeps the picture

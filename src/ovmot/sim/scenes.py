@@ -1,17 +1,14 @@
 """Ready-made simulations: a street that a rig drives through, with traffic."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.paths import drive_path, straight_path, traffic_path
 from ovmot.sim.profiles import Road, SmoothSteps
 from ovmot.sim.scene import Box, Mover, Scene, Texture, box_at, car_boxes, walker_boxes
+from ovmot.sim.simulation import ImuModel, Optics, Simulation
 from ovmot.types import ImuNoise
 
 ORIGIN_NS = 1_500_000_000_000_000_000
@@ -20,26 +17,6 @@ _WALKER = np.array([0.4, 0.6, 1.75])
 _LANE_M = 3.4
 _KERB_M = 5.6
 _FACADE_M = 9.5
-
-
-@dataclass(frozen=True, slots=True)
-class Simulation:
-    """All that makes a rendered sequence, apart from the noise's generator.
-
-    `path` is T_world_imu(t) in camera time; `camera_ns` (N,) the exposures; `T_vehicle_imu` where
-    the IMU sits on the vehicle; biases (3,) are those of the first IMU sample.
-    """
-
-    scene: Scene
-    rig: StereoRig
-    path: PoseSpline
-    camera_ns: IntArray
-    T_vehicle_imu: FloatArray
-    imu_rate_hz: float
-    imu_noise: ImuNoise
-    gyro_bias: FloatArray
-    accel_bias: FloatArray
-    image_noise: float
 
 
 def street_rig() -> StereoRig:
@@ -85,8 +62,12 @@ def demo_simulation(seed: int = 0, duration_s: float = 8.0, rate_hz: float = 10.
     return Simulation(
         scene, street_rig(), path,
         ORIGIN_NS + np.round(1e9 / rate_hz * np.arange(count)).astype(np.int64),
-        T_vehicle_imu, 100.0, ImuNoise(1.7e-4, 2e-5, 2e-3, 3e-4),
-        rng.normal(0.0, 3e-3, 3), rng.normal(0.0, 3e-2, 3), 2.0,
+        T_vehicle_imu,
+        ImuModel(
+            100.0, ImuNoise(1.7e-4, 2e-5, 2e-3, 3e-4),
+            rng.normal(0.0, 3e-3, 3), rng.normal(0.0, 3e-2, 3),
+        ),
+        Optics(noise_grey=2.0),
     )  # fmt: skip
 
 

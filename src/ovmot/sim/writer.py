@@ -21,7 +21,7 @@ from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.sim.imu import noisy_imu, perfect_imu
 from ovmot.sim.render import RenderedFrame, render_stereo
-from ovmot.sim.scenes import Simulation
+from ovmot.sim.simulation import Simulation
 
 _UTM_ORIGIN_M = np.array([332957.38, 4139892.87, 16.9])
 _MAGNETIC_FIELD = (0.2, 0.0, -0.4)
@@ -60,7 +60,7 @@ def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator
     (folder / "sensor_data/stereo_stamp.csv").write_text(stamps)
     frames = render_stereo(
         simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-        simulation.image_noise, np.random.default_rng(image_seed),
+        simulation.optics.noise_grey, np.random.default_rng(image_seed),
     )  # fmt: skip
     yield from _write_frames(folder, simulation, frames)
 
@@ -121,8 +121,8 @@ def _write_imu_and_poses(folder: Path, simulation: Simulation, rng: np.random.Ge
     times = imu_times(simulation)
     perfect = perfect_imu(simulation.path, times, time_offset_s=simulation.rig.time_offset_s)
     imu = noisy_imu(
-        perfect, simulation.imu_noise, rng,
-        gyro_bias=simulation.gyro_bias, accel_bias=simulation.accel_bias,
+        perfect, simulation.imu.noise, rng,
+        gyro_bias=simulation.imu.gyro_bias, accel_bias=simulation.imu.accel_bias,
     ).data  # fmt: skip
     T_world_imu = simulation.path.pose(times)
     quaternion = so3.to_quaternion(T_world_imu[:, :3, :3])
@@ -144,9 +144,9 @@ def _write_imu_and_poses(folder: Path, simulation: Simulation, rng: np.random.Ge
 def imu_times(simulation: Simulation) -> IntArray:
     """IMU stamps (N,) in ns, from before the first image to after the last; one on the first."""
     first, last = int(simulation.camera_ns[0]), int(simulation.camera_ns[-1])
-    period_ns = round(1e9 / simulation.imu_rate_hz)
-    before = int(_IMU_LEAD_S * simulation.imu_rate_hz)
-    count = before + (last - first) // period_ns + int(_IMU_TAIL_S * simulation.imu_rate_hz) + 1
+    period_ns = round(1e9 / simulation.imu.rate_hz)
+    before = int(_IMU_LEAD_S * simulation.imu.rate_hz)
+    count = before + (last - first) // period_ns + int(_IMU_TAIL_S * simulation.imu.rate_hz) + 1
     return first + period_ns * (np.arange(count, dtype=np.int64) - before)
 
 

@@ -1,0 +1,43 @@
+"""A rendered simulation as one value: the scene, the rig in it, and the sensors' imperfections."""
+
+from dataclasses import dataclass
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.splines import PoseSpline
+from ovmot.sim.scene import Scene
+from ovmot.types import ImuNoise
+
+
+@dataclass(frozen=True, slots=True)
+class ImuModel:
+    """An IMU: its rate, its noise densities, and the biases (3,) of the first sample."""
+
+    rate_hz: float
+    noise: ImuNoise
+    gyro_bias: FloatArray
+    accel_bias: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """What stands between the scene and the pictures: white noise, in grey levels."""
+
+    noise_grey: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """All that makes a rendered sequence, apart from the noise's generator.
+
+    `path` is T_world_imu(t) in camera time; `camera_ns` (N,) the exposures; `T_vehicle_imu` where
+    the IMU sits on the vehicle.
+    """
+
+    scene: Scene
+    rig: StereoRig
+    path: PoseSpline
+    camera_ns: IntArray
+    T_vehicle_imu: FloatArray
+    imu: ImuModel
+    optics: Optics = Optics()
