@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+REFERENCE_STAMP := $(VENV)/.installed-reference
 PYTEST_FLAGS ?= -n auto
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
@@ -31,8 +32,13 @@ $(STAMP): requirements.lock pyproject.toml
 	@$(PIP_INSTALL) --no-build-isolation --no-deps -e .
 	@touch $@
 
-install-reference: install ## add the reference tools that some tests compare with
-	$(PIP_INSTALL) --require-hashes -r requirements-reference.lock
+install-reference: $(REFERENCE_STAMP) ## add evo and TrackEval, with which some tests compare
+
+$(REFERENCE_STAMP): $(STAMP) requirements-reference.lock requirements-trackeval.lock
+	@echo "installing evo and TrackEval into $(VENV)"
+	@$(PIP_INSTALL) --require-hashes -r requirements-reference.lock
+	@$(PIP_INSTALL) --require-hashes --no-deps -r requirements-trackeval.lock
+	@touch $@
 
 demo: install ## simulate a small street, run ovmot on it, say where the results are
 	$(BIN)/python examples/demo.py
