@@ -35,15 +35,16 @@ def drive_path(
     `speed` is in m/s over seconds since `origin_ns`, zero where it stands. Pitch, roll and bounce
     are sums of sines with random phases, scaled by the speed, and the nose dips when braking.
     """
-    times, seconds = _knots(origin_ns, duration_s)
+    times, seconds = knot_times(origin_ns, duration_s)
     arc = start_m + speed.integral(seconds) - speed.integral(np.zeros(()))
     xy, yaw = road.at(arc, offset_m)
     shake = np.minimum(speed(seconds) / _FULL_VIBRATION_MPS, 1.0)
     roll, pitch, bounce = (
-        size * shake * _vibration(seconds, rng) for size in (_ROLL_RAD, _PITCH_RAD, _BOUNCE_M)
+        size * shake * sines(seconds, rng, _LOWEST_HZ, _HIGHEST_HZ)
+        for size in (_ROLL_RAD, _PITCH_RAD, _BOUNCE_M)
     )
     pitch = pitch - _SQUAT_RAD_PER_MPS2 * np.gradient(speed(seconds), seconds)
-    R = _rotation_z(yaw) @ so3.exp(np.stack([roll, pitch, np.zeros_like(yaw)], axis=-1))
+    R = rotation_z(yaw) @ so3.exp(np.stack([roll, pitch, np.zeros_like(yaw)], axis=-1))
     T_world_vehicle = se3.make(R, np.concatenate([xy, bounce[:, None]], axis=-1))
     return PoseSpline.through(times, T_world_vehicle @ T_vehicle_body)
 
@@ -62,12 +63,12 @@ def traffic_path(
 
     `speed` is that along the centre line; an oncoming car drives towards its start.
     """
-    times, seconds = _knots(origin_ns, duration_s)
+    times, seconds = knot_times(origin_ns, duration_s)
     travelled = speed.integral(seconds) - speed.integral(np.zeros(()))
     xy, yaw = road.at(start_m + (-travelled if oncoming else travelled), offset_m)
     yaw = yaw + (np.pi if oncoming else 0.0)
     z = np.zeros((len(times), 1))
-    return PoseSpline.through(times, se3.make(_rotation_z(yaw), np.concatenate([xy, z], axis=-1)))
+    return PoseSpline.through(times, se3.make(rotation_z(yaw), np.concatenate([xy, z], axis=-1)))
 
 
 def straight_path(
@@ -78,34 +79,37 @@ def straight_path(
     duration_s: float,
 ) -> PoseSpline:
     """T_world_vehicle of a mover that goes straight, at `start_xy` at `origin_ns`."""
-    times, seconds = _knots(origin_ns, duration_s)
+    times, seconds = knot_times(origin_ns, duration_s)
     travelled = speed.integral(seconds) - speed.integral(np.zeros(()))
     p = np.zeros((len(times), 3))
     p[:, 0] = start_xy[0] + travelled * np.cos(yaw)
     p[:, 1] = start_xy[1] + travelled * np.sin(yaw)
-    return PoseSpline.through(times, se3.make(_rotation_z(np.full(len(times), yaw)), p))
+    return PoseSpline.through(times, se3.make(rotation_z(np.full(len(times), yaw)), p))
 
 
 def standing_path(T_world_body: FloatArray, origin_ns: int, duration_s: float) -> PoseSpline:
     """A body that rests at one pose (4, 4)."""
-    times, _ = _knots(origin_ns, duration_s)
+    times, _ = knot_times(origin_ns, duration_s)
     return PoseSpline.through(times, np.broadcast_to(T_world_body, (len(times), 4, 4)))
 
 
-def _knots(origin_ns: int, duration_s: float) -> tuple[IntArray, FloatArray]:
+def knot_times(origin_ns: int, duration_s: float) -> tuple[IntArray, FloatArray]:
     """Knot times (N,) in ns, and the same in seconds since `origin_ns`."""
     count = int(np.ceil((duration_s + 2.0 * MARGIN_S) / _KNOT_STEP_S)) + 1
     since_ns = np.round(1e9 * (_KNOT_STEP_S * np.arange(count) - MARGIN_S)).astype(np.int64)
     return origin_ns + since_ns, np.asarray(1e-9 * since_ns)
 
 
-def _vibration(seconds: FloatArray, rng: np.random.Generator) -> FloatArray:
+def sines(
+    seconds: FloatArray, rng: np.random.Generator, lowest_hz: float, highest_hz: float
+) -> FloatArray:
     """Three sines of random frequency and phase, of standard deviation about one."""
-    frequency = rng.uniform(_LOWEST_HZ, _HIGHEST_HZ, 3)
+    frequency = rng.uniform(lowest_hz, highest_hz, 3)
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     waves = np.sin(2.0 * np.pi * frequency * seconds[:, None] + phase)
     return np.asarray(np.sqrt(2.0 / 3.0) * waves.sum(axis=-1))
 
 
-def _rotation_z(yaw: FloatArray) -> FloatArray:
+def rotation_z(yaw: FloatArray) -> FloatArray:
+    """Turns (..., 3, 3) about the vertical."""
     return so3.exp(yaw[..., None] * np.array([0.0, 0.0, 1.0]))
