@@ -1,0 +1,1 @@
+"""Metrics: how far a run is from the truth."""
