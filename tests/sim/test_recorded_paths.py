@@ -9,7 +9,7 @@ import pytest
 from ovmot.errors import InputError
 from ovmot.formats import interpolate_poses, read_tum, write_tum
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
 from ovmot.sim.paths import MARGIN_S, rotation_z
 from ovmot.sim.recorded_paths import placement_at, recorded_path, rms_acceleration
 
@@ -18,7 +18,7 @@ RECORDED = 1_400_000_000_123_456_789
 MARGIN_NS = round(1e9 * MARGIN_S)
 
 
-def bend(seconds: FloatArray) -> FloatArray:
+def bend(seconds: AnyArray) -> FloatArray:
     """Poses (N, 4, 4) of a body that goes round a circle of 5 m at 1 m/s, rising slowly."""
     yaw = 0.2 * seconds
     p = np.stack([5.0 * np.sin(yaw), 5.0 - 5.0 * np.cos(yaw), 0.1 * seconds], axis=-1)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
+from ovmot.sim.simulation import ImuModel
 from ovmot.types import ImuData, ImuNoise
 
 GRAVITY_MPS2 = 9.81
@@ -60,6 +61,30 @@ def noisy_imu(
     gyro = perfect.gyro + gyro_walk + rng.normal(0.0, noise.gyro / np.sqrt(dt), shape)
     accel = perfect.accel + accel_walk + rng.normal(0.0, noise.accel / np.sqrt(dt), shape)
     return SimulatedImu(ImuData(perfect.timestamp_ns, gyro, accel), gyro_walk, accel_walk)
+
+
+def simulated_imu(
+    path: PoseSpline,
+    timestamp_ns: IntArray,
+    model: ImuModel,
+    rng: np.random.Generator,
+    *,
+    time_offset_s: float = 0.0,
+) -> SimulatedImu:
+    """What a real IMU of this model gives at its own stamps (N,), fewer where samples are lost.
+
+    Its errors bend the exact readings, bias and noise come on top, then the sensors' ranges cut
+    them, and then samples get lost (see `ImuErrors` for the equations).
+    """
+    perfect = perfect_imu(path, timestamp_ns, time_offset_s=time_offset_s)
+    noisy = noisy_imu(
+        model.errors.distorted(perfect), model.noise, rng,
+        gyro_bias=model.gyro_bias, accel_bias=model.accel_bias,
+    )  # fmt: skip
+    cut = model.errors.saturated(noisy.data)
+    keep = model.errors.kept(cut.timestamp_ns, rng)
+    data = ImuData(cut.timestamp_ns[keep], cut.gyro[keep], cut.accel[keep])
+    return SimulatedImu(data, noisy.gyro_bias[keep], noisy.accel_bias[keep])
 
 
 def _walk(step_sigma: float, count: int, rng: np.random.Generator) -> FloatArray:

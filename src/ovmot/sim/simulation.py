@@ -5,18 +5,20 @@ from dataclasses import dataclass
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
+from ovmot.sim.imu_errors import NO_ERRORS, ImuErrors
 from ovmot.sim.scene import Scene
 from ovmot.types import ImuNoise
 
 
 @dataclass(frozen=True, slots=True)
 class ImuModel:
-    """An IMU: its rate, its noise densities, and the biases (3,) of the first sample."""
+    """An IMU: its rate, noise densities, the biases (3,) of the first sample, and its errors."""
 
     rate_hz: float
     noise: ImuNoise
     gyro_bias: FloatArray
     accel_bias: FloatArray
+    errors: ImuErrors = NO_ERRORS
 
 
 @dataclass(frozen=True, slots=True)
