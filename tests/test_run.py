@@ -85,7 +85,8 @@ def test_a_run_with_the_filter(painted_euroc: Path, tmp_path: Path) -> None:
 def test_the_same_run_twice_is_the_same_bytes(painted_euroc: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         run(painted_euroc, tmp_path / name, save_points=True)
-    for file in ("trajectory.tum", "state.csv", "tracks.csv", "points.csv", "stereo.csv"):
+    tables = ("state.csv", "covariance.csv", "tracks.csv", "points.csv", "stereo.csv")
+    for file in ("trajectory.tum", *tables):
         a, b = (tmp_path / name / file for name in ("a", "b"))
         assert a.read_bytes() == b.read_bytes(), file
         assert file == "tracks.csv" or a.stat().st_size > 200
@@ -94,7 +95,8 @@ def test_the_same_run_twice_is_the_same_bytes(painted_euroc: Path, tmp_path: Pat
 def test_without_points_those_files_are_not_there(painted_euroc: Path, tmp_path: Path) -> None:
     run(painted_euroc, tmp_path / "out")
     names = {p.name for p in (tmp_path / "out").iterdir()}
-    assert names == {"trajectory.tum", "state.csv", "tracks.csv", "timing.csv", "run.json"}
+    tables = {"trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv"}
+    assert names == {*tables, "run.json"}
 
 
 def test_given_poses_of_a_tum_file(painted_euroc: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from ovmot.outputs.run_writer import OUTPUTS, RunWriter, open_outputs
 from ovmot.types import FrameResult
 
 Maker = Callable[[int], FrameResult]
-ALWAYS = {"trajectory.tum", "state.csv", "tracks.csv", "timing.csv"}
+ALWAYS = {"trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv"}
 
 
 def names(folder: Path) -> set[str]:
@@ -62,8 +62,8 @@ def test_a_failing_run_leaves_whole_rows(
     rows = {name: (tmp_path / name).read_text() for name in names(tmp_path)}
     assert all(text.endswith("\n") for text in rows.values())
     assert {name: text.count("\n") for name, text in rows.items()} == {
-        "trajectory.tum": 3, "state.csv": 4, "tracks.csv": 4, "timing.csv": 4,
-        "points.csv": 13, "stereo.csv": 7,
+        "trajectory.tum": 3, "state.csv": 4, "covariance.csv": 4, "tracks.csv": 4,
+        "timing.csv": 4, "points.csv": 13, "stereo.csv": 7,
     }  # fmt: skip
 
 

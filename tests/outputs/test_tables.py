@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ovmot.outputs.tables import (
+    CovarianceTable,
     PointsTable,
     StateTable,
     StereoTable,
@@ -65,6 +66,28 @@ def test_state_leaves_a_negative_variance_and_an_unknown_extrinsic_empty(
     (row,) = csv.DictReader((tmp_path / "s").read_text().splitlines())
     assert (row["std_x"], row["std_y"]) == ("", "1.000000000")
     assert (row["imu_cam1_x"], row["imu_cam1_qw"], row["imu_cam0_x"]) == ("", "", "0.100000000")
+
+
+def test_covariance_is_the_upper_triangle_row_by_row(tmp_path: Path, make_result: Maker) -> None:
+    result = make_result(STAMP)
+    root = np.random.default_rng(1).standard_normal((15, 15)) * 10.0 ** np.arange(-4, 11)[:, None]
+    covariance = root @ root.T * 1e-9
+    covariance[:, 8] = covariance[8] = np.nan  # an ego source that does not know vz
+    table = CovarianceTable(tmp_path / "c")
+    table.write(replace(result, ego=replace(result.ego, covariance=covariance)))
+    table.close()
+    (row,) = csv.DictReader((tmp_path / "c").read_text().splitlines())
+    assert row.pop("timestamp_ns") == str(STAMP)
+    assert {name for name, text in row.items() if not text} == {
+        f"cov_{a}_vz" for a in ("rx", "ry", "rz", "x", "y", "z", "vx", "vy", "vz")
+    }
+    order = ["rx", "ry", "rz", "x", "y", "z", "vx", "vy", "vz"]
+    for name, text in row.items():
+        a, b = (order.index(axis) for axis in name.removeprefix("cov_").split("_"))
+        if text:
+            assert float(text) == pytest.approx(covariance[a, b], rel=1e-9)
+    assert list(row)[:10] == [*(f"cov_rx_{b}" for b in order), "cov_ry_ry"]
+    assert len(row) == 45
 
 
 def test_points_text(tmp_path: Path, make_result: Maker) -> None:

@@ -12,6 +12,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.run_json import PARTIAL_RUN_JSON, RUN_JSON
 from ovmot.outputs.tables import (
+    CovarianceTable,
     PointsTable,
     StateTable,
     StereoTable,
@@ -48,6 +49,7 @@ OutputFactory = Callable[[Path, RunContext], Output]
 OUTPUTS: dict[str, OutputFactory] = {
     "trajectory.tum": lambda path, _: TrajectoryTable(path),
     "state.csv": lambda path, _: StateTable(path),
+    "covariance.csv": lambda path, _: CovarianceTable(path),
     "tracks.csv": lambda path, _: TracksTable(path),
     "timing.csv": lambda path, context: TimingTable(path, context.stages),
     "points.csv": lambda path, _: PointsTable(path),
@@ -55,7 +57,7 @@ OUTPUTS: dict[str, OutputFactory] = {
     "overlay.mp4": lambda path, context: OverlayVideo(path, context.rig),
 }
 
-_ALWAYS = ("trajectory.tum", "state.csv", "tracks.csv", "timing.csv")
+_ALWAYS = ("trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv")
 _POINTS = ("points.csv", "stereo.csv")
 _VIDEO = ("overlay.mp4",)
 _RUN_FILES = (*OUTPUTS, RUN_JSON, PARTIAL_RUN_JSON, "objects_kitti.txt", "report.html")

@@ -1,9 +1,10 @@
-"""The tables of a run: poses, state, points, stereo matches, object tracks, timing.
+"""The tables of a run: poses, state, its covariance, points, stereo matches, object tracks, timing.
 
 Lengths are in metres, speeds in m/s, angles in rad. A field without a value (NaN) is empty.
 """
 
 from collections.abc import Sequence
+from itertools import combinations_with_replacement
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from ovmot.outputs.rows import RowFile, format_rows, format_seconds
 from ovmot.types import EgoEstimate, FrameResult, PointLabel
 
 _LABELS = {int(label): label.name.lower() for label in PointLabel}
+_NAV_STATE = ("rx", "ry", "rz", "x", "y", "z", "vx", "vy", "vz")
 
 
 class TrajectoryTable:
@@ -56,6 +58,31 @@ class StateTable:
 
     def write(self, result: FrameResult) -> None:
         fields = (result.timestamp_ns, *_state_fields(result.ego))
+        self._file.append(format_rows(self._row, [fields]))
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class CovarianceTable:
+    """`covariance.csv`: the covariance of rotation, position and velocity at every frame.
+
+    The upper triangle, row by row, of the 9x9 matrix over rotation (right perturbation, rad; rx,
+    ry, rz), position (m, in the world; x, y, z) and velocity (m/s; vx, vy, vz). Consistency (NEES)
+    needs the correlations, which the deviations in `state.csv` leave out.
+    """
+
+    columns = ",".join(
+        ("timestamp_ns", *(f"cov_{a}_{b}" for a, b in combinations_with_replacement(_NAV_STATE, 2)))
+    )
+    _row = "%d" + ",%.9e" * 45
+    _upper = np.triu_indices(len(_NAV_STATE))
+
+    def __init__(self, path: Path) -> None:
+        self._file = RowFile(path, self.columns + "\n")
+
+    def write(self, result: FrameResult) -> None:
+        fields = (result.timestamp_ns, *result.ego.covariance[:9, :9][self._upper].tolist())
         self._file.append(format_rows(self._row, [fields]))
 
     def close(self) -> None:
