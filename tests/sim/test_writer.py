@@ -1,6 +1,7 @@
 """A written sequence is a KAIST folder: the ordinary reader reads back what was simulated."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,46 +15,26 @@ from ovmot.datasets.registry import open_sequence
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.sim.render import render_stereo
-from ovmot.sim.scenes import demo_simulation, street_rig
+from ovmot.sim.sequence_files import imu_times
 from ovmot.sim.simulation import Simulation
-from ovmot.sim.writer import imu_times, write_kaist
-
-
-def shrunk(camera: Camera) -> Camera:
-    """A quarter of the camera's picture: the same lens, cheaper."""
-    fx, fy, cx, cy, skew = camera.intrinsics
-    return replace(
-        camera, width=160, height=70,
-        intrinsics=np.array([fx / 4, fy / 4, (cx - 1.5) / 4, (cy - 1.5) / 4, skew]),
-    )  # fmt: skip
+from ovmot.sim.writer import write_kaist
 
 
 @pytest.fixture(scope="module")
-def simulation() -> Simulation:
-    demo = demo_simulation(seed=3, duration_s=0.5)
-    rig = street_rig()
-    return replace(demo, rig=replace(rig, cam0=shrunk(rig.cam0), cam1=shrunk(rig.cam1)))
-
-
-@pytest.fixture(scope="module")
-def written(simulation: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(small_simulation: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("kaist") / "data"
-    assert list(write_kaist(folder, simulation, seed=1)) == simulation.camera_ns.tolist()
+    assert (
+        list(write_kaist(folder, small_simulation, seed=1)) == small_simulation.camera_ns.tolist()
+    )
     return folder
 
 
-def assert_same_rig(found: StereoRig, true: StereoRig) -> None:
-    for a, b in zip(found.cameras, true.cameras, strict=True):
-        assert (a.width, a.height, a.lens.name) == (b.width, b.height, b.lens.name)
-        np.testing.assert_allclose(a.intrinsics, b.intrinsics, rtol=1e-12)
-        np.testing.assert_allclose(a.distortion, b.distortion, rtol=1e-12)
-    np.testing.assert_allclose(found.T_imu_cam0, true.T_imu_cam0, atol=1e-9)
-    np.testing.assert_allclose(found.T_imu_cam1, true.T_imu_cam1, atol=1e-9)
-
-
 def test_the_reader_finds_the_simulated_rig_images_and_imu(
-    written: Path, simulation: Simulation
+    written: Path,
+    small_simulation: Simulation,
+    assert_same_rig: Callable[[StereoRig, StereoRig], None],
 ) -> None:
+    simulation = small_simulation
     sequence = open_sequence(written)
     assert sequence.kind == "kaist"
     assert_same_rig(sequence.rig, simulation.rig)
@@ -78,7 +59,8 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     np.testing.assert_array_equal(raw, frame.frame.left)
 
 
-def test_truth_tells_poses_objects_and_pixels(written: Path, simulation: Simulation) -> None:
+def test_truth_tells_poses_objects_and_pixels(written: Path, small_simulation: Simulation) -> None:
+    simulation = small_simulation
     rows = np.loadtxt(written / "truth/poses.csv", delimiter=",", usecols=range(1, 8))
     stamps = [int(line.split(",")[0]) for line in (written / "truth/poses.csv").open()]
     T = simulation.path.pose(np.array(stamps))
@@ -99,7 +81,8 @@ def test_truth_tells_poses_objects_and_pixels(written: Path, simulation: Simulat
     assert max(o["visible_px"] for o in frame["objects"]) > 50
 
 
-def test_global_pose_is_the_vehicle_s(written: Path, simulation: Simulation) -> None:
+def test_global_pose_is_the_vehicle_s(written: Path, small_simulation: Simulation) -> None:
+    simulation = small_simulation
     row = (written / "global_pose.csv").read_text().splitlines()[0].split(",")
     T = np.array([float(x) for x in row[1:]]).reshape(3, 4)
     vehicle = simulation.path.pose(int(row[0])) @ np.linalg.inv(simulation.T_vehicle_imu)
@@ -107,7 +90,8 @@ def test_global_pose_is_the_vehicle_s(written: Path, simulation: Simulation) -> 
     assert abs(T[0, 3]) > 1e5  # UTM-like large numbers, as in the real data
 
 
-def test_same_seed_same_bytes(written: Path, simulation: Simulation, tmp_path: Path) -> None:
+def test_same_seed_same_bytes(written: Path, small_simulation: Simulation, tmp_path: Path) -> None:
+    simulation = small_simulation
     again, other = tmp_path / "again", tmp_path / "other"
     list(write_kaist(again, simulation, seed=1))
     list(write_kaist(other, simulation, seed=2))
@@ -118,8 +102,9 @@ def test_same_seed_same_bytes(written: Path, simulation: Simulation, tmp_path: P
 
 
 def test_refuses_full_folders_and_other_lenses(
-    written: Path, simulation: Simulation, tmp_path: Path
+    written: Path, small_simulation: Simulation, tmp_path: Path
 ) -> None:
+    simulation = small_simulation
     with pytest.raises(InputError, match="not an empty folder"):
         next(write_kaist(written, simulation, seed=1))
     fisheye = Camera.make((160, 70), (100, 100), (80, 35), "equidistant", [0.0, 0.0, 0.0, 0.0])

@@ -1,15 +1,12 @@
 """Writes a simulation as a KAIST Complex Urban folder, with its truth beside it.
 
 Layout: J. Jeong et al., "Complex Urban Dataset with Multi-level Sensors", IJRR 2019. `truth/` holds
-`poses.csv` (ns, IMU position, quaternion w x y z), `objects.json`, and `<ns>.png`, the object id at
-every left pixel.
+`poses.csv` (ns, IMU position, quaternion w x y z) and what `sequence_files` lists.
 """
 
-import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,16 +15,21 @@ from scipy.spatial.transform import Rotation
 from ovmot.cameras.camera import Camera
 from ovmot.errors import InputError
 from ovmot.geometry import so3
-from ovmot.geometry.arrays import FloatArray, Image, IntArray
-from ovmot.sim.imu import noisy_imu, perfect_imu
-from ovmot.sim.render import RenderedFrame, render_stereo
+from ovmot.geometry.arrays import FloatArray
+from ovmot.sim.sequence_files import (
+    generators,
+    imu_samples,
+    make_folders,
+    truth_times,
+    write_frames,
+    write_imu_truth,
+    write_rows,
+)
 from ovmot.sim.simulation import Simulation
 
 _UTM_ORIGIN_M = np.array([332957.38, 4139892.87, 16.9])
 _MAGNETIC_FIELD = (0.2, 0.0, -0.4)
-_IMU_LEAD_S, _IMU_TAIL_S = 0.5, 0.3
-_PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
-_FOLDERS = ("image/stereo_left", "image/stereo_right", "sensor_data", "calibration", "truth")
+_LEFT, _RIGHT = "image/stereo_left", "image/stereo_right"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +42,16 @@ def write_kaist(folder: Path, simulation: Simulation, seed: int) -> Iterator[int
     """Render and write the sequence; yields each frame's time in ns when it is on disk.
 
     `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
+    `truth/objects.json` comes last, so an interrupted sequence has none. The format has no place
+    for a time offset between camera and IMU: it is in the stamps, and in `truth/imu_errors.yaml`.
     Raises `InputError` where the folder is not empty or not writable, or where the rig's lenses
     are not the radial-tangential ones that KAIST files hold.
     """
-    _check(folder, simulation)
+    for camera in simulation.rig.cameras:
+        if camera.lens.name != "radtan":
+            raise InputError.at(
+                folder, f"KAIST calibration cannot hold a lens '{camera.lens.name}'", "use radtan"
+            )
     try:
         yield from _write_sequence(folder, simulation, seed)
     except OSError as error:
@@ -51,112 +59,42 @@ def write_kaist(folder: Path, simulation: Simulation, seed: int) -> Iterator[int
 
 
 def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    image_seed, imu_seed = np.random.SeedSequence(seed).spawn(2)
-    for name in _FOLDERS:
-        (folder / name).mkdir(parents=True, exist_ok=True)
+    picture_rng, imu_rng = generators(seed)
+    make_folders(folder, (_LEFT, _RIGHT, "sensor_data", "calibration"))
     _write_calibration(folder / "calibration", simulation)
-    _write_imu_and_poses(folder, simulation, np.random.default_rng(imu_seed))
+    _write_imu(folder, simulation, imu_rng)
+    _write_poses(folder, simulation)
     stamps = "".join(f"{t}\n" for t in simulation.camera_ns)
     (folder / "sensor_data/stereo_stamp.csv").write_text(stamps)
-    frames = render_stereo(
-        simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-        simulation.optics.noise_grey, np.random.default_rng(image_seed),
-    )  # fmt: skip
-    yield from _write_frames(folder, simulation, frames)
+    # a grey scene: the raw Bayer mosaic of every colour pattern is the grey picture itself
+    yield from write_frames(folder, simulation, folder / _LEFT, folder / _RIGHT, picture_rng)
 
 
-def _check(folder: Path, simulation: Simulation) -> None:
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError.at(folder, "exists and is not an empty folder", "choose another")
-    for camera in simulation.rig.cameras:
-        if camera.lens.name != "radtan":
-            raise InputError.at(
-                folder, f"KAIST calibration cannot hold a lens '{camera.lens.name}'", "use radtan"
-            )
-
-
-def _write_frames(
-    folder: Path, simulation: Simulation, frames: Iterable[RenderedFrame]
-) -> Iterator[int]:
-    truth: list[dict[str, Any]] = []
-    for frame in frames:
-        time_ns = frame.frame.timestamp_ns
-        # a grey scene: the raw Bayer mosaic of every colour pattern is the grey picture itself
-        _write_png(folder / f"image/stereo_left/{time_ns}.png", frame.frame.left)
-        _write_png(folder / f"image/stereo_right/{time_ns}.png", frame.frame.right)
-        _write_png(folder / f"truth/{time_ns}.png", frame.left.object_id)
-        truth.append(_truth_of_frame(simulation, time_ns, frame.left.object_id))
-        yield time_ns
-    (folder / "truth/objects.json").write_text(json.dumps(truth))
-
-
-def _write_png(path: Path, image: Image) -> None:
-    if not cv2.imwrite(str(path), image, _PNG_FAST):
-        raise InputError.at(path, "cannot be written", "is the disk full?")
-
-
-def _truth_of_frame(simulation: Simulation, time_ns: int, object_id: Image) -> dict[str, Any]:
-    """One entry of objects.json: box centres, metres, rad, m/s, in the world frame."""
-    visible = np.bincount(object_id.ravel(), minlength=256)
-    objects = []
-    for mover in simulation.scene.movers:
-        state = mover.state(time_ns)
-        x, y, z = (float(c) for c in state.center)
-        length, width, height = (float(c) for c in state.size)
-        objects.append(
-            {
-                "id": state.object_id, "cls": state.category,
-                "x": x, "y": y, "z": z, "yaw": state.yaw,
-                "l": length, "w": width, "h": height,
-                "vx": float(state.velocity[0]), "vy": float(state.velocity[1]),
-                "yaw_rate": state.yaw_rate, "visible_px": int(visible[state.object_id]),
-            }
-        )  # fmt: skip
-    T_w_body = simulation.path.pose(time_ns).tolist()
-    return {"t_ns": time_ns, "T_w_body": T_w_body, "objects": objects}
-
-
-def _write_imu_and_poses(folder: Path, simulation: Simulation, rng: np.random.Generator) -> None:
-    """xsens_imu.csv, truth/poses.csv at the IMU's rate, and global_pose.csv of the vehicle."""
-    times = imu_times(simulation)
-    perfect = perfect_imu(simulation.path, times, time_offset_s=simulation.rig.time_offset_s)
-    imu = noisy_imu(
-        perfect, simulation.imu.noise, rng,
-        gyro_bias=simulation.imu.gyro_bias, accel_bias=simulation.imu.accel_bias,
-    ).data  # fmt: skip
-    T_world_imu = simulation.path.pose(times)
-    quaternion = so3.to_quaternion(T_world_imu[:, :3, :3])
+def _write_imu(folder: Path, simulation: Simulation, rng: np.random.Generator) -> None:
+    """xsens_imu.csv, whose attitude is the true one, and the truth of the IMU."""
+    imu = imu_samples(simulation, rng)
+    times = imu.data.timestamp_ns
+    camera_clock = times - round(1e9 * simulation.rig.time_offset_s)
+    quaternion = so3.to_quaternion(simulation.path.pose(camera_clock)[:, :3, :3])
     euler = Rotation.from_quat(quaternion).as_euler("xyz")
     field = np.tile(_MAGNETIC_FIELD, (len(times), 1))
-    _write_rows(
+    write_rows(
         folder / "sensor_data/xsens_imu.csv", times,
-        np.concatenate([quaternion, euler, imu.gyro, imu.accel, field], axis=1),
+        np.concatenate([quaternion, euler, imu.data.gyro, imu.data.accel, field], axis=1),
     )  # fmt: skip
-    wxyz = quaternion[:, [3, 0, 1, 2]]
-    within = (times >= simulation.camera_ns[0]) & (times <= simulation.camera_ns[-1])
+    write_imu_truth(folder, simulation, imu)
+
+
+def _write_poses(folder: Path, simulation: Simulation) -> None:
+    """truth/poses.csv of the IMU, and global_pose.csv of the vehicle."""
+    times = truth_times(simulation)
+    T_world_imu = simulation.path.pose(times)
+    wxyz = so3.to_quaternion(T_world_imu[:, :3, :3])[:, [3, 0, 1, 2]]
     poses = np.concatenate([T_world_imu[:, :3, 3], wxyz], axis=1)
-    _write_rows(folder / "truth/poses.csv", times[within], poses[within])
-    T_utm_vehicle = T_world_imu[within] @ np.linalg.inv(simulation.T_vehicle_imu)
+    write_rows(folder / "truth/poses.csv", times, poses)
+    T_utm_vehicle = T_world_imu @ np.linalg.inv(simulation.T_vehicle_imu)
     T_utm_vehicle[:, :3, 3] += _UTM_ORIGIN_M
-    _write_rows(folder / "global_pose.csv", times[within], T_utm_vehicle[:, :3].reshape(-1, 12))
-
-
-def imu_times(simulation: Simulation) -> IntArray:
-    """IMU stamps (N,) in ns, from before the first image to after the last; one on the first."""
-    first, last = int(simulation.camera_ns[0]), int(simulation.camera_ns[-1])
-    period_ns = round(1e9 / simulation.imu.rate_hz)
-    before = int(_IMU_LEAD_S * simulation.imu.rate_hz)
-    count = before + (last - first) // period_ns + int(_IMU_TAIL_S * simulation.imu.rate_hz) + 1
-    return first + period_ns * (np.arange(count, dtype=np.int64) - before)
-
-
-def _write_rows(path: Path, times: IntArray, values: FloatArray) -> None:
-    """A line per row: the stamp as an integer, then the values with nine decimals."""
-    lines = (
-        f"{t}," + ",".join(f"{x:.9f}" for x in row) + "\n"
-        for t, row in zip(times.tolist(), values.tolist(), strict=True)
-    )
-    path.write_text("".join(lines))
+    write_rows(folder / "global_pose.csv", times, T_utm_vehicle[:, :3].reshape(-1, 12))
 
 
 def _write_calibration(folder: Path, simulation: Simulation) -> None:
