@@ -130,5 +130,7 @@ def test_real_recordings(data_root: Path, name: str) -> None:
     truth = read_tum(recording)
     shift = truth.timestamp_ns[0] + MARGIN_NS - ORIGIN
     known = interpolate_poses(truth, times + shift)
-    offset = np.linalg.norm(path.pose(times)[:, :3, 3] - known[:, :3, 3], axis=-1)
-    assert offset.max() < 0.02
+    reached = path.pose(times)
+    assert np.linalg.norm(reached[:, :3, 3] - known[:, :3, 3], axis=-1).max() < 0.02
+    turned = so3.log(np.swapaxes(known[:, :3, :3], 1, 2) @ reached[:, :3, :3])
+    assert np.degrees(np.linalg.norm(turned, axis=-1)).max() < 1.0

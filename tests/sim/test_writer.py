@@ -13,9 +13,11 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import InputError
+from ovmot.formats import read_stamped_csv
 from ovmot.geometry import so3
+from ovmot.sim.imu_errors import ImuErrors
 from ovmot.sim.render import render_stereo
-from ovmot.sim.sequence_files import imu_times
+from ovmot.sim.sequence_files import generators, imu_samples, imu_times
 from ovmot.sim.simulation import Simulation
 from ovmot.sim.writer import write_kaist
 
@@ -57,6 +59,29 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     assert np.abs(first.astype(float) - frame.left.grey).mean() < 4.0
     raw = cv2.imread(str(sequence.left_paths[0]), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(raw, frame.frame.left)
+
+
+def test_the_imu_file_holds_the_simulated_samples_and_no_lost_ones(
+    small_simulation: Simulation, tmp_path: Path
+) -> None:
+    """A bad IMU whose clock is ahead: the file has its stamps, and the attitude at its instants."""
+    errors = ImuErrors.random(np.random.default_rng(1), dropped_share=0.2)
+    offset_s = 0.0234
+    simulation = replace(
+        small_simulation,
+        rig=replace(small_simulation.rig, time_offset_s=offset_s),
+        imu=replace(small_simulation.imu, errors=errors),
+        camera_ns=small_simulation.camera_ns[:1],
+    )
+    list(write_kaist(tmp_path, simulation, seed=4))
+    imu = imu_samples(simulation, generators(4)[1]).data
+    table = read_stamped_csv(tmp_path / "sensor_data/xsens_imu.csv", 17)
+    np.testing.assert_array_equal(table.timestamp_ns, imu.timestamp_ns)
+    np.testing.assert_allclose(table.values[:, 7:10], imu.gyro, rtol=0.0, atol=5.1e-10)
+    np.testing.assert_allclose(table.values[:, 10:13], imu.accel, rtol=0.0, atol=5.1e-10)
+    assert len(imu) < 0.9 * len(imu_times(simulation))
+    R = simulation.path.pose(imu.timestamp_ns - round(1e9 * offset_s))[:, :3, :3]
+    np.testing.assert_allclose(so3.from_quaternion(table.values[:, :4]), R, atol=1e-8)
 
 
 def test_truth_tells_poses_objects_and_pixels(written: Path, small_simulation: Simulation) -> None:
