@@ -1,0 +1,146 @@
+"""Is a covariance honest? Normalised errors squared, and the chi-squared bounds they should keep.
+
+Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
+Navigation, 2001, chapter 5.4. Errors are those of docs/conventions.md: rotations on the right,
+R_true = R_est · exp(δθ), positions p_true = p_est + δp in the world.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2
+
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray, IntArray
+
+_SINGULAR = 1e-13  # squared pivot of a correlation matrix; below it only rounding is left
+
+
+@dataclass(frozen=True, slots=True)
+class Nis:
+    """Innovations squared (N,), normalised, and the degrees of freedom (N,) of each."""
+
+    values: FloatArray
+    dof: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Average:
+    """A mean over `count` values; `undefined` values (NaN) were left out of it.
+
+    `share_inside` is the share of them within the chi-squared bounds of a single value.
+    """
+
+    mean: float
+    share_inside: float
+    count: int
+    undefined: int
+
+
+def pose_errors(T_reference: FloatArray, T_estimate: FloatArray) -> FloatArray:
+    """Errors (N, 6) of poses (N, 4, 4): δθ = log(R_estᵀ R_true) in rad, δp = p_true - p_est in m.
+
+    Both trajectories must be in one world.
+    """
+    R_reference, R_estimate = T_reference[..., :3, :3], T_estimate[..., :3, :3]
+    turn = so3.log(np.swapaxes(R_estimate, -1, -2) @ R_reference)
+    return np.concatenate([turn, T_reference[..., :3, 3] - T_estimate[..., :3, 3]], axis=-1)
+
+
+def turn_world(covariance: FloatArray, R_new_old: FloatArray) -> FloatArray:
+    """Covariances (N, 3m, 3m) over rotation and m - 1 world vectors, in a turned world.
+
+    A right perturbation lives in the body frame, which does not turn with the world; position
+    and velocity do.
+    """
+    size = covariance.shape[-1]
+    turn = np.kron(np.eye(size // 3), R_new_old)
+    turn[:3, :3] = np.eye(3)
+    turned: FloatArray = turn @ covariance @ turn.T
+    return turned
+
+
+def nees(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    """eᵀ P⁻¹ e (N,) of errors (N, k) and covariances (N, k, k), by Cholesky.
+
+    NaN where an error or a covariance is not known, or a covariance is not positive definite.
+    """
+    rows = [_normalised_square(e, P) for e, P in zip(errors, covariance, strict=True)]
+    return np.array(rows, dtype=np.float64)
+
+
+def nis(innovations: Sequence[FloatArray], covariances: Sequence[FloatArray]) -> Nis:
+    """NIS of innovations, each (k,) with its covariance (k, k), where k may change."""
+    rows = [_normalised_square(e, S) for e, S in zip(innovations, covariances, strict=True)]
+    dof = [len(innovation) for innovation in innovations]
+    return Nis(np.array(rows, dtype=np.float64), np.array(dof, dtype=np.int64))
+
+
+def chi_squared_bounds(dof: int, probability: float = 0.95) -> tuple[float, float]:
+    """Two-sided bounds of one normalised square with so many degrees of freedom."""
+    tail = 0.5 * (1.0 - probability)
+    return float(chi2.ppf(tail, dof)), float(chi2.ppf(1.0 - tail, dof))
+
+
+def average_bounds(
+    dof: int, n_runs: int, n_steps: int = 1, probability: float = 0.95
+) -> tuple[float, float]:
+    """Bounds of the mean of `n_runs` x `n_steps` independent values of `dof` each (5.4.2).
+
+    Errors of one run at successive steps are correlated: give `n_steps` more than 1 for white
+    quantities only, such as NIS.
+    """
+    count = n_runs * n_steps
+    low, high = chi_squared_bounds(dof * count, probability)
+    return low / count, high / count
+
+
+def average_over_runs(values: FloatArray) -> FloatArray:
+    """Mean (N,) at each step of NEES (M, N) of M runs; NaN values are left out of it."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def average(values: FloatArray, dof: int, probability: float = 0.95) -> Average | None:
+    """Mean and share within bounds of values (N,) of one `dof`; None where none is known."""
+    known = values[np.isfinite(values)]
+    if len(known) == 0:
+        return None
+    low, high = chi_squared_bounds(dof, probability)
+    inside = float(np.mean((known >= low) & (known <= high)))
+    return Average(float(known.mean()), inside, len(known), len(values) - len(known))
+
+
+def normalised_average(
+    squares: Nis, probability: float = 0.95
+) -> tuple[float, tuple[float, float]] | None:
+    """Σ NIS / Σ dof, ideally 1, and its bounds; innovations may differ in dimension."""
+    known = np.isfinite(squares.values) & (squares.dof > 0)
+    total = int(squares.dof[known].sum())
+    if total == 0:
+        return None
+    low, high = chi_squared_bounds(total, probability)
+    return float(squares.values[known].sum()) / total, (low / total, high / total)
+
+
+def _normalised_square(error: FloatArray, covariance: FloatArray) -> float:
+    """eᵀ P⁻¹ e of one error (k,), NaN where P is not positive definite or anything is NaN.
+
+    P is brought to a correlation matrix first, so that units do not decide what is singular.
+    """
+    variance = np.diag(covariance)
+    if not (np.isfinite(error).all() and np.isfinite(covariance).all() and np.all(variance > 0.0)):
+        return float("nan")
+    sigma = np.sqrt(variance)
+    try:
+        L = np.linalg.cholesky(covariance / np.outer(sigma, sigma))
+    except np.linalg.LinAlgError:
+        return float("nan")
+    if np.min(np.diag(L), initial=1.0) ** 2 < _SINGULAR:
+        return float("nan")
+    whitened = solve_triangular(L, error / sigma, lower=True, check_finite=False)
+    return float(whitened @ whitened)
