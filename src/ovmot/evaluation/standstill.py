@@ -8,7 +8,7 @@ from ovmot.evaluation.trajectory import relative_errors
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 
-MAX_SPEED_MPS = 0.02
+MAX_SPEED_MPS = 0.05
 MAX_RATE_RPS = 0.02
 MIN_DURATION_S = 1.0
 _BASE_S = 0.2  # motion is taken over this long, so that the truth's own noise is no motion

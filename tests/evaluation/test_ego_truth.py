@@ -1,0 +1,92 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ovmot.errors import InputError
+from ovmot.evaluation.ego_truth import read_ego_truth
+
+ASL = "mav0/state_groundtruth_estimate0/data.csv"
+POSES = "#ns,x,y,z,qw,qx,qy,qz\n100,1,2,3,1,0,0,0\n200,4,5,6,0,0,0,1\n"
+EUROC_ROW = "{},1,2,3,0,0,0,1,0.1,0.2,0.3,-1,-2,-3,7,8,9\n"
+TUM = "0.0000001 1 2 3 0 0 0 1\n0.0000002 4 5 6 0 0 1 0\n"
+
+
+def write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("truth/poses.csv", POSES),
+        (ASL, POSES),
+        ("mav0/state_groundtruth_estimate0/trajectory.tum", TUM),
+        ("state_groundtruth_estimate0/data.csv", POSES),  # the folder mav0 itself
+    ],
+)
+def test_poses_of_the_known_folders(tmp_path: Path, name: str, text: str) -> None:
+    path = write(tmp_path / name, text)
+    truth = read_ego_truth(tmp_path)
+    assert truth.path == path
+    assert truth.timestamp_ns.tolist() == [100, 200]
+    np.testing.assert_array_equal(truth.T_world_imu[:, :3, 3], [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_allclose(truth.T_world_imu[1, :3, :3], np.diag([-1, -1, 1]), atol=1e-15)
+    assert truth.velocity is None
+    assert truth.gyro_bias is None
+    assert truth.accel_bias is None
+
+
+@pytest.mark.parametrize(("name", "text"), [("any.tum", TUM), ("any.txt", TUM), ("a.csv", POSES)])
+def test_a_single_file(tmp_path: Path, name: str, text: str) -> None:
+    truth = read_ego_truth(write(tmp_path / name, text))
+    np.testing.assert_array_equal(truth.T_world_imu[1, :3, 3], [4, 5, 6])
+
+
+def test_velocity_and_biases_of_euroc(tmp_path: Path) -> None:
+    rows = EUROC_ROW.format(100) + EUROC_ROW.format(100).replace("0.1", "9") + EUROC_ROW.format(300)
+    write(tmp_path / ASL, rows)
+    truth = read_ego_truth(tmp_path)
+    assert truth.timestamp_ns.tolist() == [100, 300]  # an equal stamp keeps the first
+    assert truth.velocity is not None
+    assert truth.gyro_bias is not None
+    assert truth.accel_bias is not None
+    np.testing.assert_array_equal(truth.velocity, [[0.1, 0.2, 0.3]] * 2)
+    np.testing.assert_array_equal(truth.gyro_bias, [[-1, -2, -3]] * 2)
+    np.testing.assert_array_equal(truth.accel_bias, [[7, 8, 9]] * 2)
+
+
+def test_no_truth_is_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no true poses \(looked for truth/poses.csv"):
+        read_ego_truth(tmp_path)
+    with pytest.raises(InputError, match="nowhere: no such file or folder"):
+        read_ego_truth(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("truth/poses.csv", "", "holds no data"),
+        ("truth/poses.csv", "1,2,3\n", "3 columns"),
+        ("truth/poses.csv", POSES + "300,4,5,x,1,0,0,0\n", "row 4: 'x' is not a number"),
+        ("truth/poses.csv", POSES + "300,4,5,6,1,1,0,0\n", "row 4: .*unit length"),
+        ("truth/poses.csv", POSES + "150,4,5,6,1,0,0,0\n", "row 4: .*before"),
+    ],
+)
+def test_broken_truth_names_file_and_row(
+    tmp_path: Path, name: str, text: str, message: str
+) -> None:
+    write(tmp_path / name, text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_ego_truth(tmp_path)
+    assert str(tmp_path / name) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_rendered_and_the_real_folder(data_root: Path) -> None:
+    street = read_ego_truth(data_root / "street_traffic")
+    assert len(street.timestamp_ns) == 2000
+    assert street.T_world_imu.shape == (2000, 4, 4)
+    assert len(read_ego_truth(data_root / "euroc_mh01").timestamp_ns) > 1000
