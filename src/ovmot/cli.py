@@ -99,12 +99,11 @@ def run(
         _say(f"ovmot: warning: {warning}")
     options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last)
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    try:
-        with _progress(max(stop - first, 0)) as advance:
-            summary = run_sequence(recorded, settings, options, advance)
-    except KeyboardInterrupt:  # here, since Typer would swallow it without a word
-        _say("ovmot: interrupted; what was done until here is written whole")
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+    with (
+        _interruptible("what was done until here is written whole"),
+        _progress("run", max(stop - first, 0)) as advance,
+    ):
+        summary = run_sequence(recorded, settings, options, advance)
     for warning, count in summary.warnings.items():
         if warning not in recorded.warnings:
             _say(f"ovmot: warning: {warning} ({count})")
@@ -136,6 +135,16 @@ def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:
     return path
 
 
+@contextmanager
+def _interruptible(what_is_left: str) -> Iterator[None]:
+    """Say what Ctrl-C leaves and exit; here, since Typer would swallow it without a word."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _say(f"ovmot: interrupted; {what_is_left}")
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+
+
 class _FramesPerSecond(ProgressColumn):
     """The rate so far."""
 
@@ -144,12 +153,12 @@ class _FramesPerSecond(ProgressColumn):
 
 
 @contextmanager
-def _progress(total: int) -> Iterator[Callable[[int], None]]:
+def _progress(task_name: str, total: int) -> Iterator[Callable[[int], None]]:
     console = Console(stderr=True)
-    columns = (TextColumn("ovmot"), BarColumn(), MofNCompleteColumn(), _FramesPerSecond())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _FramesPerSecond())
     # into a file, a bar would only be a broken line before the messages
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("run", total=total)
+        task = bar.add_task(task_name, total=total)
         yield lambda done: bar.update(task, completed=done)
 
 
