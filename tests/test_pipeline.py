@@ -349,7 +349,7 @@ def test_a_refused_right_observation_never_reaches_the_filter(
 def _spy_on_matches(pipeline: Pipeline, monkeypatch: pytest.MonkeyPatch) -> list[StereoMatches]:
     """The `StereoMatches` of every frame, also of those before the start."""
     tested: list[StereoMatches] = []
-    tracker = pipeline._tracker
+    tracker = pipeline._frontend
     true_track = tracker.track
 
     def track(frame: StereoFrame, T_now_before: FloatArray) -> object:

@@ -180,7 +180,9 @@ def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_pat
     assert told["ended"].startswith("failed: ")
     assert "never started" in told["ended"]
     assert told["counts"]["frames_before_start"] == told["counts"]["frames_read"]
-    assert told["options"] == {"ego": "filter", "ego_poses": None, "first": 0, "last": None}
+    assert told["options"] == {
+        "ego": "filter", "start": "found", "ego_poses": None, "first": 0, "last": None,
+    }  # fmt: skip
 
 
 def stop_at(frame: int, error: BaseException) -> Callable[[int], None]:

@@ -19,17 +19,36 @@ from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table, ma
 from ovmot.types import (
     EgoEstimate,
     Event,
+    FeatureFrame,
     FrameResult,
     FrontendFrame,
     ImuSample,
     PointLabel,
     PoseWindow,
     StereoFrame,
+    StereoMatches,
 )
 
 _IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
 
 STAGES = ("start", "predict", "match", "split", "correct", "forget")
+
+
+class FrontEnd(Protocol):
+    """From one frame to the next, features with ids."""
+
+    def track(
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
+    ) -> tuple[FrontendFrame, StereoMatches]:
+        """Features of this frame, and every stereo match that the epipolar gate tested.
+
+        `T_now_before` (4, 4): predicted motion of the left camera since the last frame.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop worker threads."""
+        ...
 
 
 class Ego(Protocol):
@@ -81,17 +100,25 @@ class Start(Protocol):
 
 
 class Pipeline:
-    """Keeps the tracker, the IMU buffer, the ego source and the table of what was seen."""
+    """Keeps the front end, the IMU buffer, the ego source and the table of what was seen."""
 
-    def __init__(self, rig: StereoRig, settings: Settings, start: Start) -> None:
+    def __init__(
+        self,
+        rig: StereoRig,
+        settings: Settings,
+        start: Start,
+        frontend: FrontEnd | None = None,
+    ) -> None:
         self._rig = rig
         self._settings = settings
         self._start = start
-        self._tracker = StereoTracker(rig, settings.tracker, settings.epipolar)
+        self._frontend: FrontEnd = frontend or StereoTracker(
+            rig, settings.tracker, settings.epipolar
+        )
         self._imu = ImuBuffer()
         self._ego: Ego | None = None
         self._table = empty_table()
-        self._waiting: deque[StereoFrame] = deque()
+        self._waiting: deque[StereoFrame | FeatureFrame] = deque()
         self._pending: deque[FrontendFrame] = deque()
         self._last_frame_ns: int | None = None
         self.not_started_because = "no frame was seen"
@@ -99,7 +126,7 @@ class Pipeline:
         self.counts: Counter[str] = Counter(resets=0, frames_mostly_moving=0)
 
     def feed(self, event: Event) -> list[FrameResult]:
-        """Take one IMU sample or stereo frame; give the results that it made possible.
+        """Take one IMU sample or frame; give the results that it made possible.
 
         A frame is held until the IMU covers its time. Raises `DatasetError` where the stamps of a
         kind do not rise, `OvmotError` with the frame's stamp where the numbers break down.
@@ -116,7 +143,7 @@ class Pipeline:
                 results.append(result)
         return results
 
-    def step(self, frame: StereoFrame) -> FrameResult | None:
+    def step(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
         """One frame through all stages; None while there is no start."""
         watch = Stopwatch()
         # 0 before: look for a start, and go through the frames it was found in
@@ -127,7 +154,7 @@ class Pipeline:
             ego = self._ego.predict(frame.timestamp_ns, self._imu)
         # 2 match: follow, match left to right, check every pair by the extrinsics
         with watch.stage("match"):
-            seen, matches = self._tracker.track(frame, camera_motion(ego.window(), self._rig))
+            seen, matches = self._frontend.track(frame, camera_motion(ego.window(), self._rig))
         # 3 split: what the predicted motion does not explain leaves the filter with its history
         with watch.stage("split"):
             table, split = self._split(append_frame(self._table, seen), seen, ego)
@@ -152,7 +179,7 @@ class Pipeline:
         """Stop worker threads and count the frames that the IMU never covered."""
         self.dropped += len(self._waiting)
         self._waiting.clear()
-        self._tracker.close()
+        self._frontend.close()
 
     def _split(self, table: TrackTable, seen: FrontendFrame, ego: Ego) -> tuple[TrackTable, Split]:
         """The table with dynamic features barred and suspects marked, and the split itself."""
@@ -165,10 +192,10 @@ class Pipeline:
             self.counts["frames_mostly_moving"] += 1
         return mark_suspects(table, points.feature_id, split.suspect), split
 
-    def _before(self, frame: StereoFrame, watch: Stopwatch) -> FrameResult | None:
+    def _before(self, frame: StereoFrame | FeatureFrame, watch: Stopwatch) -> FrameResult | None:
         """Track by the gyroscope's rotation, try to start; on success catch up with this frame."""
         with watch.stage("match"):
-            seen, matches = self._tracker.track(frame, self._rotation_before_start(frame))
+            seen, matches = self._frontend.track(frame, self._rotation_before_start(frame))
         self._pending.append(seen)
         self._drop_old_pending()
         with watch.stage("start"):
@@ -213,7 +240,7 @@ class Pipeline:
     def _forget_imu(self, needed_ns: int) -> None:
         self._imu.forget_before(needed_ns - _IMU_KEPT_NS)
 
-    def _rotation_before_start(self, frame: StereoFrame) -> FloatArray:
+    def _rotation_before_start(self, frame: StereoFrame | FeatureFrame) -> FloatArray:
         """Left camera's rotation since the last frame by the gyroscope alone, as T_now_before."""
         T = np.eye(4)
         if not self._pending:
@@ -229,7 +256,7 @@ class Pipeline:
         T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
         return T
 
-    def _step_or_say(self, frame: StereoFrame) -> FrameResult | None:
+    def _step_or_say(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
         """A step whose numerical failure (a matrix not positive, a NaN) names the frame."""
         try:
             return self.step(frame)
@@ -237,7 +264,7 @@ class Pipeline:
             stamp = frame.timestamp_ns
             raise OvmotError(f"the estimate broke down at frame {stamp} ns: {error}") from error
 
-    def _check_order(self, frame: StereoFrame) -> None:
+    def _check_order(self, frame: StereoFrame | FeatureFrame) -> None:
         if self._last_frame_ns is not None and frame.timestamp_ns <= self._last_frame_ns:
             raise DatasetError(
                 f"frame stamp {frame.timestamp_ns} does not follow {self._last_frame_ns}:"

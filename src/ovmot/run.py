@@ -2,24 +2,29 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.datasets.sequence import FolderSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
 from ovmot.formats import read_ego_poses
+from ovmot.frontend.given_features import GivenFeatures
 from ovmot.given_ego import GivenEgo, GivenStart, imu_poses_from_cam0
+from ovmot.msckf.known_start import KnownStart, StartSigmas
 from ovmot.msckf.start import FilterStart
+from ovmot.msckf.state import ImuState
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import RunWriter, open_outputs
-from ovmot.pipeline import STAGES, Pipeline, Start
-from ovmot.types import Event, ImuNoise, StereoFrame
+from ovmot.pipeline import STAGES, FrontEnd, Pipeline, Start
+from ovmot.sim.features import FeatureRecording
+from ovmot.types import Event, ImuNoise, ImuSample
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +40,24 @@ class RunOptions:
     last: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """What a run reads and how it starts, whatever it comes from.
+
+    `frontend` makes the front end, None the stereo tracker; `imu_noise` is for `run.json`.
+    """
+
+    name: str
+    rig: StereoRig
+    stream: Generator[Event, None, None]
+    start: Start
+    frontend: FrontEnd | None
+    imu_noise: ImuNoise | None
+    identity: InputIdentity
+    counts: Counter[str]
+    warnings: Counter[str]
+
+
 def run_sequence(
     sequence: FolderSequence,
     settings: Settings,
@@ -46,23 +69,74 @@ def run_sequence(
     `on_frame` is called with the number of frames read. An error or Ctrl-C in the middle leaves
     whole rows and a `run.json` that says so, and is raised again.
     """
-    start = make_start(sequence, settings, options.ego_poses)
-    stream = events(sequence, first=options.first, last=options.last)
-    counts: Counter[str] = Counter(sequence.counts)
+    source = _Source(
+        name=str(sequence.root),
+        rig=sequence.rig,
+        stream=events(sequence, first=options.first, last=options.last),
+        start=make_start(sequence, settings, options.ego_poses),
+        frontend=None,
+        imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
+        identity=_identity(sequence),
+        counts=Counter(sequence.counts),
+        warnings=Counter(sequence.warnings),
+    )
+    return _run(source, settings, options, on_frame)
+
+
+def run_features(
+    recording: FeatureRecording,
+    settings: Settings,
+    options: RunOptions,
+    on_frame: Callable[[int], None] = lambda _: None,
+) -> RunSummary:
+    """Run a feature-level simulation, started at its truth; as `run_sequence` otherwise.
+
+    Raises `InputError` for what needs images or frame numbers: an overlay, poses from a file, a
+    first or last frame.
+    """
+    if options.video or options.ego_poses is not None or options.first or options.last is not None:
+        raise InputError("a feature-level simulation has no images and runs from end to end")
+    simulation = recording.simulation
+    source = _Source(
+        name="feature simulation",
+        rig=simulation.rig,
+        stream=recording.events(),
+        start=known_start(recording, settings),
+        frontend=GivenFeatures(simulation.rig, settings.tracker, settings.epipolar),
+        imu_noise=simulation.imu.noise,
+        identity=InputIdentity(
+            path="",
+            kind="features",
+            n_frames=len(simulation.camera_ns),
+            n_imu_samples=len(recording.imu.data),
+            first_timestamp_ns=int(simulation.camera_ns[0]),
+            last_timestamp_ns=int(simulation.camera_ns[-1]),
+        ),
+        counts=Counter(seed=recording.seed),
+        warnings=Counter(),
+    )
+    return _run(source, settings, options, on_frame)
+
+
+def _run(
+    source: _Source, settings: Settings, options: RunOptions, on_frame: Callable[[int], None]
+) -> RunSummary:
+    counts = Counter(source.counts)
     began = time.perf_counter()
     ended = "finished"
     failure: BaseException | None = None
-    pipeline = Pipeline(sequence.rig, settings, start)
+    pipeline = Pipeline(source.rig, settings, source.start, source.frontend)
     writer = open_outputs(
-        options.out, rig=sequence.rig, save_points=options.save_points, video=options.video,
+        options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES,
     )  # fmt: skip
     try:
-        with writer, closing(stream):
-            _feed_all(_with_pose(stream, start, counts), pipeline, writer, counts, on_frame)
+        with writer, closing(source.stream):
+            stream = _with_pose(source.stream, source.start, counts)
+            _feed_all(stream, pipeline, writer, counts, on_frame)
             if writer.frames_written == 0:
                 why = pipeline.not_started_because
-                raise OvmotError(f"{sequence.root}: never started: {why}")
+                raise OvmotError(f"{source.name}: never started: {why}")
     except KeyboardInterrupt as stop:
         ended, failure = "interrupted", stop
         raise
@@ -76,11 +150,11 @@ def run_sequence(
         counts.update(pipeline.counts)
         summary = RunSummary(
             settings=settings,
-            options=_options(options, start),
-            imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
-            source=_identity(sequence),
+            options=_options(options, source.start),
+            imu_noise=source.imu_noise,
+            source=source.identity,
             counts=counts,
-            warnings=_warnings(sequence, options, counts),
+            warnings=_warnings(source.warnings, options, counts),
             ended=ended,
             wall_seconds=time.perf_counter() - began,
         )
@@ -93,9 +167,9 @@ def run_sequence(
     return summary
 
 
-def _warnings(sequence: FolderSequence, options: RunOptions, counts: Counter[str]) -> Counter[str]:
+def _warnings(noticed: Counter[str], options: RunOptions, counts: Counter[str]) -> Counter[str]:
     """What the reader noticed, and what happened to frames on the way."""
-    warnings = Counter(sequence.warnings)
+    warnings = Counter(noticed)
     if counts["frames_without_pose"]:
         text = f"{options.ego_poses}: frames for which it has no pose: left out"
         warnings[text] += counts["frames_without_pose"]
@@ -108,6 +182,7 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
     """What the run was asked for, beside its settings."""
     return {
         "ego": "poses" if isinstance(start, GivenStart) else "filter",
+        "start": "truth" if isinstance(start, KnownStart) else "found",
         "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
         "first": options.first,
         "last": options.last,
@@ -132,6 +207,19 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
     return FilterStart(sequence.rig, imu_noise(sequence, settings), settings)
 
 
+def known_start(recording: FeatureRecording, settings: Settings) -> KnownStart:
+    """The filter's start at the truth of a simulation's first frame."""
+    simulation, truth = recording.simulation, recording.truth()
+    T = truth.T_world_imu[0]
+    state = ImuState(
+        T[:3, :3], T[:3, 3], truth.velocity[0], truth.gyro_bias[0], truth.accel_bias[0]
+    )
+    return KnownStart(
+        int(truth.timestamp_ns[0]), state, StartSigmas(), simulation.rig, simulation.imu.noise,
+        settings,
+    )  # fmt: skip
+
+
 def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:
     """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
     told = settings.imu
@@ -152,7 +240,7 @@ def _feed_all(
     on_frame: Callable[[int], None],
 ) -> None:
     for event in stream:
-        if isinstance(event, StereoFrame):
+        if not isinstance(event, ImuSample):
             counts["frames_read"] += 1
             on_frame(counts["frames_read"] + counts["frames_without_pose"])
         else:
@@ -169,7 +257,7 @@ def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> I
     counts["frames_without_pose"] = 0
     posed = set(start.ego.pose_ns.tolist())
     for event in stream:
-        if not isinstance(event, StereoFrame) or event.timestamp_ns in posed:
+        if isinstance(event, ImuSample) or event.timestamp_ns in posed:
             yield event
         else:
             counts["frames_without_pose"] += 1

@@ -28,7 +28,20 @@ class StereoFrame:
     right: Image
 
 
-Event = ImuSample | StereoFrame
+@dataclass(frozen=True, slots=True)
+class FeatureFrame:
+    """Features with ids in place of the images of one stereo pair: what another tracker saw.
+
+    `pixels` (N, 4): u, v in the left and u, v in the right image, the right half NaN where there is
+    no match. The matches have not been checked.
+    """
+
+    timestamp_ns: int
+    feature_id: IntArray
+    pixels: FloatArray
+
+
+Event = ImuSample | StereoFrame | FeatureFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +180,7 @@ class ObjectTrack:
 class FrameResult:
     """Everything the pipeline says about one stereo frame; `milliseconds` is time per stage."""
 
-    frame: StereoFrame
+    frame: StereoFrame | FeatureFrame
     ego: EgoEstimate
     points: ScenePoints
     matches: StereoMatches

@@ -11,9 +11,15 @@ from ovmot.geometry.arrays import AnyArray, Image
 from ovmot.outputs import drawing
 from ovmot.outputs.dynamic_overlay import draw_dynamic
 from ovmot.outputs.stereo_overlay import draw_stereo, epipolar_curves
-from ovmot.types import FrameResult, PointLabel
+from ovmot.types import FrameResult, PointLabel, StereoFrame
 
 Maker = Callable[[int], FrameResult]
+
+
+def images_of(result: FrameResult) -> StereoFrame:
+    """The images that a result belongs to."""
+    assert isinstance(result.frame, StereoFrame)
+    return result.frame
 
 
 def color_at(picture: Image, u: float, v: float) -> tuple[int, ...]:
@@ -33,7 +39,7 @@ def test_stereo_points_have_their_colours_in_both_images(
     rig: StereoRig, make_result: Maker
 ) -> None:
     result = make_result(0)
-    picture = draw_stereo(result.frame, result.matches, rig)
+    picture = draw_stereo(images_of(result), result.matches, rig)
     assert picture.shape == (160, 480, 3)
     assert color_at(picture, 60, 60) == drawing.BLUE
     assert color_at(picture, 240 + 100, 70) == drawing.BLUE
@@ -44,7 +50,7 @@ def test_stereo_points_have_their_colours_in_both_images(
 
 def test_stereo_distances_are_green_in_the_right_image(rig: StereoRig, make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_stereo(result.frame, result.matches, rig)
+    picture = draw_stereo(images_of(result), result.matches, rig)
     assert has_color(text_area(picture, 240 + 100, 70), drawing.GREEN)
     assert has_color(text_area(picture, 240 + 120, 120), drawing.GREEN)
     assert not has_color(picture[20:, :240], drawing.GREEN)
@@ -54,7 +60,7 @@ def test_an_outlier_s_line_is_drawn_where_the_geometry_puts_it(
     rig: StereoRig, make_result: Maker
 ) -> None:
     result = make_result(0)
-    picture = draw_stereo(result.frame, result.matches, rig)
+    picture = draw_stereo(images_of(result), result.matches, rig)
     for x in (-0.25, 0.2):  # the refused match has the line y = 0.3, off its point
         u, v = rig.cam1.denormalize(np.array([x, 0.3]))
         blue, green, red = color_at(picture, 240 + u, v)
@@ -88,7 +94,7 @@ def test_a_line_without_direction_is_not_drawn() -> None:
 
 def test_dynamic_point_shows_three_positions_and_green_text(make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_dynamic(result.frame, result.points)
+    picture = draw_dynamic(images_of(result), result.points)
     assert picture.shape == (160, 240, 3)
     assert color_at(picture, 40, 70) == drawing.WHITE
     assert color_at(picture, 60, 60) == drawing.RED
@@ -100,7 +106,7 @@ def test_dynamic_point_shows_three_positions_and_green_text(make_result: Maker) 
 
 def test_static_point_that_ransac_rejected_has_red_text(make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_dynamic(result.frame, result.points)
+    picture = draw_dynamic(images_of(result), result.points)
     assert color_at(picture, 40, 130) == drawing.WHITE
     assert color_at(picture, 60, 120) == drawing.RED
     assert color_at(picture, 66, 130) == drawing.PINK
@@ -110,7 +116,7 @@ def test_static_point_that_ransac_rejected_has_red_text(make_result: Maker) -> N
 
 def test_other_points_are_quiet_dots(make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_dynamic(result.frame, result.points)
+    picture = draw_dynamic(images_of(result), result.points)
     assert color_at(picture, 180, 60) == drawing.GREY
     assert color_at(picture, 180, 120) == drawing.DARK
     plain = np.array(color_at(picture, 5, 155))
@@ -123,7 +129,7 @@ def test_static_point_that_was_never_compared_stays_quiet(make_result: Maker) ->
     nowhere = np.full_like(points.predicted, np.nan)
     label = np.full_like(points.label, PointLabel.STATIC)
     picture = draw_dynamic(
-        make_result(0).frame, replace(points, label=label, previous=nowhere, predicted=nowhere)
+        images_of(make_result(0)), replace(points, label=label, previous=nowhere, predicted=nowhere)
     )
     assert color_at(picture, 60, 120) == drawing.GREY
     assert not has_color(picture[20:], drawing.RED)
@@ -131,8 +137,8 @@ def test_static_point_that_was_never_compared_stays_quiet(make_result: Maker) ->
 
 def test_scale_enlarges_picture_and_positions(rig: StereoRig, make_result: Maker) -> None:
     result = make_result(0)
-    dynamic = draw_dynamic(result.frame, result.points, scale=2.0)
-    stereo = draw_stereo(result.frame, result.matches, rig, scale=2.0)
+    dynamic = draw_dynamic(images_of(result), result.points, scale=2.0)
+    stereo = draw_stereo(images_of(result), result.matches, rig, scale=2.0)
     assert dynamic.shape == (320, 480, 3)
     assert stereo.shape == (320, 960, 3)
     assert color_at(dynamic, 120, 120) == drawing.RED
@@ -141,17 +147,17 @@ def test_scale_enlarges_picture_and_positions(rig: StereoRig, make_result: Maker
 
 def test_drawing_leaves_the_input_alone(rig: StereoRig, make_result: Maker) -> None:
     result = make_result(0)
-    draw_stereo(result.frame, result.matches, rig)
-    draw_dynamic(result.frame, result.points)
-    assert np.all(result.frame.left == 40)
-    assert np.all(result.frame.right == 40)
+    draw_stereo(images_of(result), result.matches, rig)
+    draw_dynamic(images_of(result), result.points)
+    assert np.all(images_of(result).left == 40)
+    assert np.all(images_of(result).right == 40)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
 def test_positions_far_away_are_left_out(make_result: Maker, bad: float) -> None:
     points = make_result(0).points
     picture = draw_dynamic(
-        make_result(0).frame, replace(points, predicted=np.full_like(points.predicted, bad))
+        images_of(make_result(0)), replace(points, predicted=np.full_like(points.predicted, bad))
     )
     assert color_at(picture, 60, 60) == drawing.RED
     assert not has_color(picture[20:], drawing.PINK)
@@ -163,7 +169,7 @@ def test_no_points_at_all(rig: StereoRig, make_result: Maker) -> None:
         result.matches, feature_id=np.empty(0, np.int64), pixels=np.empty((0, 4)),
         distance_px=np.empty(0), accepted=np.empty(0, np.bool_), line=np.empty((0, 3)),
     )  # fmt: skip
-    picture = draw_stereo(result.frame, nothing, rig)
+    picture = draw_stereo(images_of(result), nothing, rig)
     assert np.all(picture[20:] == picture[-1, -1])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
+from ovmot.errors import OvmotError
 from ovmot.frontend.contrast import EQUALIZERS
 from ovmot.frontend.corners import detect_corners
 from ovmot.frontend.epipolar import gate_matches, without_refused
@@ -15,7 +16,7 @@ from ovmot.frontend.prediction import fill_depths, predict_left, predict_right, 
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.geometry.triangulation import triangulate_stereo
-from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
+from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
 _BORDER_PX = 3.0
 _DEFAULT_DEPTH_BASELINES = 40.0  # where nothing is known, points are taken this far away
@@ -70,13 +71,16 @@ class StereoTracker:
         self._workers.shutdown()
 
     def track(
-        self, frame: StereoFrame, T_now_before: FloatArray
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame, and every stereo match tested.
 
         `T_now_before` (4, 4): predicted motion of the left camera since the last frame, mapping
-        points of the earlier camera frame into the present one.
+        points of the earlier camera frame into the present one. Raises `OvmotError` for a frame
+        without images.
         """
+        if isinstance(frame, FeatureFrame):
+            raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
         equalize = EQUALIZERS[self._settings.equalization]
         left, right = self._workers.map(equalize, (frame.left, frame.right))
         points = self._follow_left(left, T_now_before)

@@ -17,7 +17,7 @@ from ovmot.errors import OvmotError
 from ovmot.geometry.arrays import Image
 from ovmot.outputs.dynamic_overlay import draw_dynamic
 from ovmot.outputs.stereo_overlay import draw_stereo
-from ovmot.types import FrameResult
+from ovmot.types import FeatureFrame, FrameResult
 
 _MAX_WIDTH = 1920
 _TICKS_PER_S = 90_000
@@ -30,12 +30,16 @@ _OPTIONS = {"preset": "superfast", "crf": "23"}
 def compose(result: FrameResult, rig: StereoRig) -> Image:
     """One picture of even size (BGR): the stereo overlay, below it the dynamic one as wide.
 
-    It is twice as wide as an image, but no wider than 1920 pixels.
+    It is twice as wide as an image, but no wider than 1920 pixels. Raises `OvmotError` for a frame
+    without images.
     """
-    image_width = result.frame.left.shape[1]
+    frame = result.frame
+    if isinstance(frame, FeatureFrame):
+        raise OvmotError(f"frame {frame.timestamp_ns}: no images to draw on")
+    image_width = frame.left.shape[1]
     width = min(2 * image_width, _MAX_WIDTH)
-    upper = draw_stereo(result.frame, result.matches, rig, width / (2 * image_width))
-    lower = draw_dynamic(result.frame, result.points, width / image_width)
+    upper = draw_stereo(frame, result.matches, rig, width / (2 * image_width))
+    lower = draw_dynamic(frame, result.points, width / image_width)
     height = upper.shape[0] + lower.shape[0]
     canvas = np.zeros((height + height % 2, width, 3), dtype=np.uint8)
     for picture, top in ((upper, 0), (lower, upper.shape[0])):

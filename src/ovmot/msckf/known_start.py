@@ -1,0 +1,78 @@
+"""A start from a known state: for simulations, where the truth is at hand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import Settings
+from ovmot.imu_buffer import ImuBuffer
+from ovmot.msckf.ego import FilterEgo
+from ovmot.msckf.state import (
+    ACCEL_BIAS,
+    FIRST_CLONE,
+    GYRO_BIAS,
+    POSITION,
+    THETA,
+    TIME_OFFSET,
+    VELOCITY,
+    ImuState,
+    State,
+    no_clones,
+)
+from ovmot.types import FrontendFrame, ImuNoise
+
+
+@dataclass(frozen=True, slots=True)
+class StartSigmas:
+    """One-sigma of a known start: rad, m, m/s, rad/s, m/s²."""
+
+    rotation: float = 1e-3
+    position: float = 1e-3
+    velocity: float = 1e-2
+    gyro_bias: float = 1e-3
+    accel_bias: float = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class KnownStart:
+    """Gives a filter whose state at the frame `timestamp_ns` is `imu`.
+
+    The world is that of the given state: heading and position need no alignment afterwards.
+    """
+
+    timestamp_ns: int
+    imu: ImuState
+    sigmas: StartSigmas
+    rig: StereoRig
+    noise: ImuNoise
+    settings: Settings
+
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """A frame's time on the IMU's clock, by the calibration's time offset."""
+        return frame_ns + round(self.rig.time_offset_s * 1e9)
+
+    def imu_needed_until(self, frame_ns: int) -> int | None:
+        """The IMU time that must be reached before this frame is looked at."""
+        return self.imu_time_ns(frame_ns)
+
+    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> FilterEgo | str:
+        """A filter at the first frame's time, or why there is none."""
+        first_ns = frames[0].timestamp_ns
+        if first_ns != self.timestamp_ns:
+            return f"the known state is at {self.timestamp_ns} ns, the first frame at {first_ns} ns"
+        settings = self.settings.filter
+        variance = np.zeros(FIRST_CLONE)
+        variance[THETA] = self.sigmas.rotation**2
+        variance[POSITION] = self.sigmas.position**2
+        variance[VELOCITY] = self.sigmas.velocity**2
+        variance[GYRO_BIAS] = self.sigmas.gyro_bias**2
+        variance[ACCEL_BIAS] = self.sigmas.accel_bias**2
+        if settings.estimate_time_offset:
+            variance[TIME_OFFSET] = settings.time_offset_sigma_s**2
+        state = State(
+            self.imu_time_ns(first_ns), self.imu, self.imu, self.rig.time_offset_s,
+            no_clones(), np.diag(variance),
+        )  # fmt: skip
+        return FilterEgo(state, self.rig, self.noise, self.settings)

@@ -1,0 +1,63 @@
+"""Given features go through the checks that tracked ones go through."""
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import EpipolarSettings, TrackerSettings
+from ovmot.errors import OvmotError
+from ovmot.frontend.given_features import GivenFeatures
+from ovmot.geometry.arrays import FloatArray
+from ovmot.types import FeatureFrame, StereoFrame
+
+
+@pytest.fixture
+def frontend(painted_rig: StereoRig) -> GivenFeatures:
+    return GivenFeatures(painted_rig, TrackerSettings(), EpipolarSettings())
+
+
+def grid(rig: StereoRig, shift_px: float) -> FloatArray:
+    """30 points 6 m away, as pixels (30, 4), moved sideways."""
+    u, v = np.meshgrid(np.linspace(60, 280, 6), np.linspace(20, 220, 5))
+    left = np.stack([u.ravel() + shift_px, v.ravel()], axis=-1)
+    return np.concatenate([left, left - [200.0 * 0.3 / 6.0, 0.0]], axis=1)
+
+
+def test_a_match_off_its_line_loses_its_right_half(
+    frontend: GivenFeatures, painted_rig: StereoRig
+) -> None:
+    pixels = grid(painted_rig, 0.0)
+    pixels[4, 3] += 5.0
+    pixels[7, 2:] = np.nan
+    seen, matches = frontend.track(FeatureFrame(0, np.arange(30), pixels), np.eye(4))
+    assert len(matches.feature_id) == 29
+    assert matches.feature_id[~matches.accepted].tolist() == [4]
+    assert np.flatnonzero(np.isnan(seen.pixels[:, 2])).tolist() == [4, 7]
+    assert np.isnan(seen.normalized[4, 2:]).all()
+    assert np.isfinite(seen.pixels[:, :2]).all()
+
+
+def test_hops_count_frames_and_a_stray_track_fails_the_two_view_test(
+    frontend: GivenFeatures, painted_rig: StereoRig
+) -> None:
+    rng = np.random.default_rng(0)
+    depth_shift = rng.uniform(2.0, 8.0, 30)  # a translation: points at different depths
+    first = grid(painted_rig, 0.0)
+    second = first.copy()
+    second[:, 0] += depth_shift
+    second[3, 1] += 9.0
+    second[:, 2:] = np.nan
+    frontend.track(FeatureFrame(0, np.arange(30), first), np.eye(4))
+    ids = np.arange(31)
+    pixels = np.concatenate([second, [[100.0, 100.0, np.nan, np.nan]]])
+    seen, _ = frontend.track(FeatureFrame(1, ids[::-1], pixels[::-1]), np.eye(4))
+    hops = dict(zip(seen.feature_id.tolist(), seen.hops.tolist(), strict=True))
+    assert hops.pop(30) == 0
+    assert set(hops.values()) == {1}
+    assert seen.feature_id[~seen.two_view_inlier].tolist() == [3]
+
+
+def test_images_are_refused(frontend: GivenFeatures) -> None:
+    image = np.zeros((240, 320), dtype=np.uint8)
+    with pytest.raises(OvmotError, match="frame 7: images"):
+        frontend.track(StereoFrame(7, image, image), np.eye(4))
