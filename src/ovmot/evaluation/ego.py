@@ -29,6 +29,7 @@ RPE_SECONDS = (1.0,)
 RPE_METRES = (10.0, 50.0, 100.0, 500.0)
 NEES_DOF = {"orientation": 3, "position": 3, "pose": 6}
 
+_GAUGE_S = 2.0
 _SHORT_M = 2.0  # below it, errors in percent of the path say nothing
 
 
@@ -60,9 +61,10 @@ class EgoSeries:
     """Errors over time, at the N compared poses, for plots.
 
     `errors` and `three_sigma` (N, 6): rotation (right perturbation, rad), then position (m, in
-    the truth's world), in the gauge `first` of the alignments; `nees` by name (N,). NaN where the
-    run states no covariance. `position_true` and `position_aligned` (N, 3): the path, and the
-    estimate laid onto it by the alignment `yaw`.
+    the truth's world), after the alignment `first` at the pose of the first 2 s whose position the
+    run is surest of; `nees` by name (N,). NaN where the run states no covariance.
+    `position_true` and `position_aligned` (N, 3): the path, and the estimate laid onto it by the
+    alignment `yaw`.
     """
 
     timestamp_ns: IntArray
@@ -214,11 +216,13 @@ def _series(run: EgoRun, truth: EgoTruth, of_run: IntArray, of_truth: IntArray) 
     T_true = interpolate_poses(Trajectory(truth.timestamp_ns, truth.T_world_imu), stamps)
     outside = ~np.isfinite(T_true[:, 0, 0])  # before the first or after the last true pose
     T_true[outside] = truth.T_world_imu[of_truth[outside]]
-    gauge = align_first(T_true, T_run)
-    errors = pose_errors(T_true, gauge.poses(T_run))
     covariance = np.full((len(stamps), 6, 6), np.nan)
     if run.covariance is not None:
-        covariance = turn_world(run.covariance[of_run, :6, :6], gauge.R)
+        covariance = run.covariance[of_run, :6, :6]
+    surest = _surest_pose(stamps, covariance)
+    gauge = align_first(T_true[surest:], T_run[surest:])
+    errors = pose_errors(T_true, gauge.poses(T_run))
+    covariance = turn_world(covariance, gauge.R)
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     parts = {"orientation": slice(0, 3), "position": slice(3, 6), "pose": slice(0, 6)}
     yaw = ALIGNMENTS["yaw"](T_true, T_run)
@@ -230,6 +234,19 @@ def _series(run: EgoRun, truth: EgoTruth, of_run: IntArray, of_truth: IntArray) 
         position_true=T_true[:, :3, 3],
         position_aligned=yaw.positions(T_run[:, :3, 3]),
     )
+
+
+def _surest_pose(stamps: IntArray, covariance: FloatArray) -> int:
+    """Index of the pose of the first seconds whose position the run is surest of; else the first.
+
+    A start in motion defines the filter's world some frames before its first pose, so that this
+    pose has an error of its own, which must not become that of all the others.
+    """
+    early = int(np.searchsorted(stamps, stamps[0] + round(_GAUGE_S * 1e9)))
+    variance = np.trace(covariance[:early, 3:, 3:], axis1=1, axis2=2)
+    if not np.any(np.isfinite(variance)):
+        return 0
+    return int(np.nanargmin(variance))
 
 
 def _velocity_rmse(
