@@ -58,8 +58,14 @@ def test_velocity_and_biases_of_euroc(tmp_path: Path) -> None:
     np.testing.assert_array_equal(truth.accel_bias, [[7, 8, 9]] * 2)
 
 
+def test_the_file_with_velocities_is_preferred(tmp_path: Path) -> None:
+    write(tmp_path / "truth/poses.csv", POSES)
+    write(tmp_path / ASL, EUROC_ROW.format(100))
+    assert read_ego_truth(tmp_path).velocity is not None
+
+
 def test_no_truth_is_one_clear_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"holds no true poses \(looked for truth/poses.csv"):
+    with pytest.raises(InputError, match=r"holds no true poses \(looked for mav0/state_ground"):
         read_ego_truth(tmp_path)
     with pytest.raises(InputError, match="nowhere: no such file or folder"):
         read_ego_truth(tmp_path / "nowhere")

@@ -11,13 +11,15 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 
 _EUROC = "state_groundtruth_estimate0"
 TRUTH_FILES = (
-    "truth/poses.csv",
     f"mav0/{_EUROC}/data.csv",
     f"mav0/{_EUROC}/trajectory.tum",
+    "truth/poses.csv",
     f"{_EUROC}/data.csv",
     f"{_EUROC}/trajectory.tum",
 )
-"""Where in a data set's folder the truth may be; the first one that is there is taken."""
+"""Where in a data set's folder the truth may be; the first one that is there is taken.
+
+EuRoC's comes first, because it may hold velocity and biases too."""
 
 
 @dataclass(frozen=True, slots=True)
