@@ -155,7 +155,12 @@ class _FramesPerSecond(ProgressColumn):
 @contextmanager
 def _progress(task_name: str, total: int) -> Iterator[Callable[[int], None]]:
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _FramesPerSecond())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _FramesPerSecond(),
+    )
     # into a file, a bar would only be a broken line before the messages
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(task_name, total=total)

@@ -1,12 +1,12 @@
 """What a run says of its own motion, read back from its folder."""
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ovmot.errors import InputError
+from ovmot.evaluation.table_files import REMEDY, read_table
 from ovmot.formats import read_tum
 from ovmot.geometry.arrays import FloatArray, IntArray
 
@@ -19,7 +19,6 @@ _SIGMAS = tuple(
 _STATE = ("rx", "ry", "rz", "x", "y", "z", "vx", "vy", "vz")
 _UPPER = np.triu_indices(len(_STATE))
 _COVARIANCE = tuple(f"cov_{_STATE[i]}_{_STATE[j]}" for i, j in zip(*_UPPER, strict=True))
-_REMEDY = "run it again, or give another run"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,39 +83,11 @@ def _columns_at(path: Path, columns: tuple[str, ...], stamps: IntArray) -> Float
     """
     if not path.is_file():
         return None
-    known_ns, values = _read_columns(path, columns)
-    row_of = {stamp: row for row, stamp in enumerate(known_ns)}
+    table = read_table(path, columns)
+    row_of = {stamp: row for row, stamp in enumerate(table.timestamp_ns.tolist())}
     rows = np.array([row_of.get(stamp, -1) for stamp in stamps.tolist()], dtype=np.int64)
     if np.all(rows < 0):
-        raise InputError.at(path, "has no row for any stamp of trajectory.tum", _REMEDY)
+        raise InputError.at(path, "has no row for any stamp of trajectory.tum", REMEDY)
     out = np.full((len(stamps), len(columns)), np.nan)
-    out[rows >= 0] = values[rows[rows >= 0]]
+    out[rows >= 0] = table.values[rows[rows >= 0]]
     return out
-
-
-def _read_columns(path: Path, columns: tuple[str, ...]) -> tuple[list[int], FloatArray]:
-    """Stamps (M) and the named columns (M, K) of a table; an empty field is NaN."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError.at(path, f"cannot be read as a table: {error}", _REMEDY) from None
-    if not lines:
-        raise InputError.at(path, "is empty", _REMEDY)
-    header, *rows = lines
-    missing = [name for name in ("timestamp_ns", *columns) if name not in header]
-    if missing:
-        raise InputError.at(path, f"has no column '{missing[0]}'", _REMEDY, row=1)
-    at, where = header.index("timestamp_ns"), [header.index(name) for name in columns]
-    stamps: list[int] = []
-    values: list[list[float]] = []
-    for number, fields in enumerate(rows, start=2):
-        if len(fields) != len(header):
-            problem = f"{len(fields)} columns where {len(header)} are expected"
-            raise InputError.at(path, problem, _REMEDY, row=number)
-        try:
-            stamps.append(int(fields[at]))
-            values.append([float(fields[k] or "nan") for k in where])
-        except ValueError as error:
-            raise InputError.at(path, f"is not a number: {error}", _REMEDY, row=number) from None
-    return stamps, np.array(values, dtype=np.float64).reshape(-1, len(columns))

@@ -60,7 +60,17 @@ OUTPUTS: dict[str, OutputFactory] = {
 _ALWAYS = ("trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv")
 _POINTS = ("points.csv", "stereo.csv")
 _VIDEO = ("overlay.mp4",)
-_RUN_FILES = (*OUTPUTS, RUN_JSON, PARTIAL_RUN_JSON, "objects_kitti.txt", "report.html")
+EVALUATION_FILES = ("metrics.json", "ego_error.png", "nees.png", "map.png")
+"""What `ovmot evaluate` adds to a run; a new run in the folder removes them."""
+
+_RUN_FILES = (
+    *OUTPUTS,
+    RUN_JSON,
+    PARTIAL_RUN_JSON,
+    "objects_kitti.txt",
+    "report.html",
+    *EVALUATION_FILES,
+)
 
 
 class RunWriter:

@@ -1,0 +1,150 @@
+"""One run against the truth: reads both, measures everything, writes metrics and plots."""
+
+import contextlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.table import Table
+
+from ovmot.datasets.registry import open_sequence
+from ovmot.errors import InputError, OvmotError
+from ovmot.evaluation.association import associate_stamps
+from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
+from ovmot.evaluation.ego_plots import error_figure, nees_figure, save_figure
+from ovmot.evaluation.ego_truth import EgoTruth, read_ego_truth
+from ovmot.evaluation.labels import LabelCounts, count_labels
+from ovmot.evaluation.map_plot import map_figure
+from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, compare_frames
+from ovmot.evaluation.object_files import read_matches, read_points, read_tracks
+from ovmot.evaluation.object_truth import ObjectTruth, read_object_truth
+from ovmot.evaluation.objects import (
+    ObjectMetrics,
+    evaluate_objects,
+    gate_scalars,
+    label_scalars,
+    object_scalars,
+)
+from ovmot.evaluation.run_files import EgoRun, read_ego_run
+from ovmot.evaluation.stereo_gate import GateCounts, count_gate
+from ovmot.outputs.run_writer import EVALUATION_FILES
+from ovmot.sim.features import FeatureRecording
+
+_MAX_GAP_NS = 6_000_000
+_METRICS, _ERRORS, _NEES, _MAP = EVALUATION_FILES
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All that was measured; None where the run or the truth lacks what it takes."""
+
+    ego: EgoMetrics
+    frames: tuple[ComparedFrame, ...] = ()
+    objects: ObjectMetrics | None = None
+    labels: LabelCounts | None = None
+    gate: GateCounts | None = None
+
+    def scalars(self) -> dict[str, float | None]:
+        """Every metric as one flat table, names ending in the unit."""
+        return {name: value for group in self.groups() for name, value in group.items()}
+
+    def groups(self) -> tuple[dict[str, float | None], ...]:
+        """The same, apart: the ego motion, the moving objects, the labels, the stereo gate."""
+        return (
+            scalars(self.ego),
+            {} if self.objects is None else object_scalars(self.objects),
+            {} if self.labels is None else label_scalars(self.labels),
+            {} if self.gate is None else gate_scalars(self.gate),
+        )
+
+
+def evaluate_run(run: Path, truth: Path, criteria: ObjectCriteria | None = None) -> Evaluation:
+    """Measure a run's folder against a sequence's folder with its truth, or a TUM file.
+
+    Raises `InputError` where one of them is not what it should be, or they have no time in common.
+    """
+    ego_run, ego_truth = read_ego_run(run), read_ego_truth(truth)
+    ego = evaluate_ego(ego_run, ego_truth)
+    true_objects = _objects_of(truth)
+    if true_objects is None:
+        return Evaluation(ego)
+    wanted = criteria or ObjectCriteria()
+    frames = _compared(run, ego_run, ego_truth, true_objects, wanted)
+    points, matches = read_points(run), read_matches(run)
+    labels = None if points is None else count_labels(points, true_objects, wanted)
+    gate = None
+    if matches is not None and true_objects.has_depth:
+        gate = count_gate(matches, true_objects, open_sequence(truth).rig)
+    objects = evaluate_objects(frames, wanted) if frames else None
+    return Evaluation(ego, frames, objects, labels, gate)
+
+
+def evaluate_features(run: Path, recording: FeatureRecording) -> Evaluation:
+    """Measure the run of a feature-level simulation against the simulation itself."""
+    truth = recording.truth()
+    return Evaluation(
+        evaluate_ego(
+            read_ego_run(run),
+            EgoTruth(
+                run, truth.timestamp_ns, truth.T_world_imu, truth.velocity, truth.gyro_bias,
+                truth.accel_bias,
+            ),
+        )
+    )  # fmt: skip
+
+
+def write_metrics(run: Path, evaluation: Evaluation) -> None:
+    """Write `metrics.json` into the run, in one step; raises `OvmotError` where it cannot."""
+    path = run / _METRICS
+    partial = path.with_suffix(".json.part")
+    text = json.dumps(evaluation.scalars(), indent=2, allow_nan=False) + "\n"
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise OvmotError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def write_plots(run: Path, evaluation: Evaluation) -> None:
+    """Write the errors with their bounds, NEES, and the map; raises `OvmotError`."""
+    series = evaluation.ego.series
+    save_figure(error_figure(series), run / _ERRORS)
+    save_figure(nees_figure(series), run / _NEES)
+    save_figure(map_figure(series, evaluation.frames), run / _MAP)
+
+
+def metrics_table(evaluation: Evaluation) -> Table:
+    """The metrics for a terminal in groups; those without a value are left out."""
+    table = Table("metric", "value", title="against the truth")
+    for group in evaluation.groups():
+        for name, value in group.items():
+            if value is not None:
+                table.add_row(name, f"{value:.0f}" if value == round(value) else f"{value:.4g}")
+        table.add_section()
+    return table
+
+
+def _objects_of(data: Path) -> ObjectTruth | None:
+    """The true objects of a sequence; raises `InputError` where its writing was interrupted."""
+    truth = read_object_truth(data) if data.is_dir() else None
+    if truth is None and (data / "truth").is_dir():
+        raise InputError.at(
+            data / "truth", "holds no objects.json: it was not written to its end",
+            "simulate it again, or give the file with the poses by --truth",
+        )  # fmt: skip
+    return truth
+
+
+def _compared(
+    run: Path, ego_run: EgoRun, ego_truth: EgoTruth, truth: ObjectTruth, criteria: ObjectCriteria
+) -> tuple[ComparedFrame, ...]:
+    tracks = read_tracks(run)
+    if tracks is None:
+        return ()
+    of_truth, of_run = associate_stamps(ego_truth.timestamp_ns, ego_run.timestamp_ns, _MAX_GAP_NS)
+    return compare_frames(
+        ego_run.timestamp_ns[of_run], ego_truth.T_world_imu[of_truth], ego_run.T_world_imu[of_run],
+        truth, tracks, criteria,
+    )  # fmt: skip

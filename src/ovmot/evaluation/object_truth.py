@@ -1,0 +1,104 @@
+"""The true objects of a simulated sequence: boxes per frame, and pictures of ids and depth."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ovmot.errors import InputError
+from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
+
+DEPTH_UNITS_PER_M = 256.0
+"""Of depth pictures, as KITTI's: 16 bits, 0 where nothing is known."""
+_NUMBERS = ("x", "y", "z", "yaw", "l", "w", "h", "vx", "vy", "yaw_rate", "visible_px")
+_REMEDY = "simulate the sequence again"
+
+
+@dataclass(frozen=True, slots=True)
+class TrueObjects:
+    """The N objects of one frame, in the true world.
+
+    `center` (N, 3) of the box, `yaw` (N,), `size` (N, 3) length, width, height, `velocity` (N, 3),
+    `yaw_rate` (N,), `visible_px` (N,) pixels of it in the left picture.
+    """
+
+    timestamp_ns: int
+    object_id: IntArray
+    center: FloatArray
+    yaw: FloatArray
+    size: FloatArray
+    velocity: FloatArray
+    yaw_rate: FloatArray
+    visible_px: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectTruth:
+    """All frames by their stamp, and the folder with their pictures."""
+
+    folder: Path
+    frames: dict[int, TrueObjects]
+
+    def id_picture(self, timestamp_ns: int) -> Image:
+        """The object's id at every left pixel (H, W), 0 where no mover is; raises `InputError`."""
+        path = self.folder / f"{timestamp_ns}.png"
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if picture is None:
+            raise InputError.at(path, "is not there or not an image", _REMEDY)
+        return np.asarray(picture, dtype=np.uint8)
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether there are depth pictures."""
+        return (self.folder / "depth").is_dir()
+
+    def depth_picture(self, timestamp_ns: int) -> FloatArray:
+        """Depth (H, W) along the left camera's z axis in m, NaN where none; raises `InputError`."""
+        path = self.folder / "depth" / f"{timestamp_ns}.png"
+        picture: AnyArray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if picture is None or picture.dtype != np.uint16:
+            raise InputError.at(path, "is not there or not a 16-bit image", _REMEDY)
+        return np.where(picture > 0, picture / DEPTH_UNITS_PER_M, np.nan)
+
+
+def read_object_truth(data: Path) -> ObjectTruth | None:
+    """The objects of a sequence's folder, None where it has no `truth/objects.json`.
+
+    Raises `InputError` for a file that is not what a simulation writes.
+    """
+    path = data / "truth" / "objects.json"
+    if not path.is_file():
+        return None
+    try:
+        listed = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError.at(path, f"cannot be read: {error}", _REMEDY) from None
+    if not isinstance(listed, list):
+        raise InputError.at(path, "is not a list of frames", _REMEDY)
+    frames = [_frame(path, i, entry) for i, entry in enumerate(listed)]
+    return ObjectTruth(path.parent, {frame.timestamp_ns: frame for frame in frames})
+
+
+def _frame(path: Path, index: int, entry: Any) -> TrueObjects:
+    try:
+        objects = entry["objects"]
+        numbers = np.array(
+            [[float(o[key]) for key in _NUMBERS] for o in objects], dtype=np.float64
+        ).reshape(-1, len(_NUMBERS))
+        ids = np.array([int(o["id"]) for o in objects], dtype=np.int64)
+        stamp = int(entry["t_ns"])
+    except (KeyError, TypeError, ValueError) as error:
+        what = f"frame {index} lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError.at(path, what, _REMEDY) from None
+    if not np.all(np.isfinite(numbers)) or len(np.unique(ids)) != len(ids):
+        raise InputError.at(
+            path, f"frame {index} holds numbers that are not finite, or an id twice", _REMEDY
+        )
+    velocity = np.concatenate([numbers[:, 7:9], np.zeros((len(ids), 1))], axis=1)
+    return TrueObjects(
+        stamp, ids, numbers[:, :3], numbers[:, 3], numbers[:, 4:7], velocity, numbers[:, 9],
+        numbers[:, 10].astype(np.int64),
+    )  # fmt: skip
