@@ -131,7 +131,7 @@ def test_the_same_figures_as_the_scorer(
         assert (ours["hota"], ours["mota"], ours["objects_never_found"]) == (1.0, 1.0, 0.0)
         assert ours["object_velocity_rmse_mps"] == pytest.approx(0.0, abs=1e-4)
         assert ours["object_heading_rmse_deg"] == pytest.approx(0.0, abs=1e-3)
-        assert ours["object_motion_rmse_m"] == pytest.approx(0.0, abs=0.02)
+        assert ours["object_motion_rmse_m"] == pytest.approx(0.0, abs=0.04)  # cars brake
     else:
         assert theirs["objects"]["id_switches"] > 3
         nees = ours["object_velocity_nees"]  # of dimension 3, more where tracks met another object
