@@ -10,7 +10,7 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.evaluation.labels import count_labels
 from ovmot.evaluation.matching import ObjectCriteria
-from ovmot.evaluation.object_files import LABELS, LabelledPoints, GatedMatches
+from ovmot.evaluation.object_files import LABELS, GatedMatches, LabelledPoints
 from ovmot.evaluation.object_truth import ObjectTruth, read_object_truth
 from ovmot.evaluation.stereo_gate import count_gate
 from ovmot.geometry.arrays import FloatArray
