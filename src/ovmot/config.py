@@ -266,7 +266,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
-        raise InputError(f"{path}: expected keys with values, found {loaded!r}")
+        raise InputError(f"{path}: expected sections of keys, found {loaded!r}")
     return loaded
 
 
