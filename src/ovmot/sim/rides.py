@@ -144,7 +144,7 @@ def _driven(
 def _sampled(path: PoseSpline, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Seconds since the path's start (N,), poses (N, 4, 4) and velocities (N, 3)."""
     times = np.arange(path.start_ns, path.end_ns, round(1e9 * step_s), dtype=np.int64)
-    return 1e-9 * (times - path.start_ns), path.pose(times), path.velocity(times)
+    return np.asarray(1e-9 * (times - path.start_ns)), path.pose(times), path.velocity(times)
 
 
 def _mount(path: PoseSpline) -> FloatArray:

@@ -43,8 +43,15 @@ def _gentle(knots: Knots) -> Knots:
     return knots
 
 
+def _ordered(stretch: tuple[float, float]) -> tuple[float, float]:
+    if not stretch[0] < stretch[1]:
+        raise ValueError("a stretch goes from its smaller to its greater end")
+    return stretch
+
+
 Speed = Annotated[Knots, AfterValidator(_rising), AfterValidator(_forward)]
 Curvature = Annotated[Knots, AfterValidator(_rising), AfterValidator(_gentle)]
+Stretch = Annotated[tuple[float, float], AfterValidator(_ordered)]
 Grey = Annotated[float, Field(ge=0.0, le=255.0)]
 
 
@@ -81,6 +88,8 @@ class StreetPart(Section):
     """Distance between parked cars on either side, m; none without it."""
     poles_every_m: float | None = Field(23.0, ge=1.0)
     """Distance between poles on either side, m; none without it."""
+    crossing: Stretch | None = None
+    """Stretch of the road [from, to], m, along which nothing stands: another street's mouth."""
 
 
 class AlongPart(Section):

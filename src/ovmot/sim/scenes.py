@@ -40,7 +40,7 @@ def make_simulation(
     `path` says how the rig moves: None as the scene has it; "stand"; "walk", in a person's hands;
     "drive", with random speeds and stops; else the TUM file of a recorded motion (`recorded`).
     Movers that such a rig, or a drive longer than the scene's, would run into are left out, and so
-    is what stands nearer than 1 m to a recorded path. `size` (width, height) in pixels, `rate_hz`
+    is what stands nearer than 1 m to the rig's path. `size` (width, height) in pixels, `rate_hz`
     and `duration_s` replace the scene's. Raises `InputError` for values out of range.
     """
     rate = scene.rate_hz if rate_hz is None else rate_hz
@@ -57,6 +57,7 @@ def make_simulation(
     ride = make_ride(rig, road, scene.drive, ORIGIN_NS, horizon_s, ride_rng)
     if path is not None and path not in _RIDES:
         horizon_s = duration = min(duration, 1e-9 * (ride.path.end_ns - ORIGIN_NS) - 1.0)
+    light = scene.light
     changed = path is not None or duration > scene.duration_s
     return Simulation(
         _scene(scene, road, ride, horizon_s, (street_rng, mover_rng), changed=changed),
@@ -65,7 +66,7 @@ def make_simulation(
         ORIGIN_NS + np.round(1e9 / rate * np.arange(_frames(duration, rate))).astype(np.int64),
         ride.T_vehicle_imu,
         _imu(scene, imu_rng),
-        Optics(noise_grey=scene.light.noise_grey),
+        Optics(light.noise_grey, light.exposure_drift, light.defocus_px, light.exposure_s),
     )
 
 

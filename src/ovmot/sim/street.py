@@ -7,7 +7,7 @@ that a longer simulation begins as a shorter one does.
 import numpy as np
 
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.profiles import Road
 from ovmot.sim.scene import Box, Texture, box_at, car_boxes
@@ -26,12 +26,15 @@ def furnish(
     for side, side_rng in zip(_SIDES, rng.spawn(2), strict=True):
         houses, cars, poles = side_rng.spawn(3)
         if street.facades:
-            boxes += _facades(road, side * street.facade_m, light, reach_m, houses)
+            boxes += _facades(road, side, street, light, reach_m, houses)
         if street.parked_every_m is not None:
             places = np.arange(14.0, reach_m, street.parked_every_m)
+            places += cars.uniform(-4.0, 4.0)
+            places = places[~_open(street, places, 0.5 * CAR_SIZE[0])]
             boxes += _parked_cars(road, places, side * street.kerb_m, light, cars)
         if street.poles_every_m is not None:
-            places = np.arange(8.0, reach_m, street.poles_every_m)
+            places = np.arange(8.0, reach_m, street.poles_every_m) + poles.uniform(-5.0, 5.0)
+            places = places[~_open(street, places, 0.1)]
             boxes += _poles(road, places, side * (street.kerb_m + _BEHIND_KERB_M), light, poles)
     return tuple(boxes)
 
@@ -73,18 +76,28 @@ def away_from(
     return tuple(kept)
 
 
+def _open(street: StreetPart, places: FloatArray, half_m: float) -> BoolArray:
+    """Whether (N,) what stands at these places, `half_m` to both sides, is in a crossing."""
+    if street.crossing is None:
+        return np.zeros(np.shape(places), dtype=bool)
+    start, end = street.crossing
+    return np.asarray((places + half_m > start) & (places - half_m < end))
+
+
 def _facades(
-    road: Road, offset_m: float, light: LightPart, reach_m: float, rng: np.random.Generator
-) -> list[Box]:
-    """Houses, each of its own depth, height and grey; `offset_m` tells side and distance."""
+    road: Road, side: float, street: StreetPart, light: LightPart, reach_m: float,
+    rng: np.random.Generator,
+) -> list[Box]:  # fmt: skip
+    """Houses, each of its own depth, height and grey."""
     boxes = []
     arc = -15.0
     while arc < reach_m + 40.0:
         width, height, back = rng.uniform(7.0, 13.0), rng.uniform(6.0, 14.0), rng.uniform(0, 2)
-        offset = offset_m + np.sign(offset_m) * (back + 4.0)
-        x, y, yaw = _place(road, arc + 0.5 * width, offset)
+        middle = arc + 0.5 * width
+        x, y, yaw = _place(road, middle, side * (street.facade_m + back + 4.0))
         texture = Texture(rng.uniform(*light.faces), 38.0 * light.contrast, 2.4, texture_seed(rng))
-        boxes.append(box_at((x, y, 0.5 * height), (width, 8.0, height), texture, yaw))
+        if not _open(street, np.array(middle), 0.5 * width):
+            boxes.append(box_at((x, y, 0.5 * height), (width, 8.0, height), texture, yaw))
         arc += width + rng.uniform(0.0, 1.5)
     return boxes
 
@@ -93,7 +106,7 @@ def _parked_cars(
     road: Road, places: FloatArray, offset_m: float, light: LightPart, rng: np.random.Generator
 ) -> list[Box]:
     boxes: list[Box] = []
-    for arc in places + rng.uniform(-4.0, 4.0):
+    for arc in places:
         x, y, yaw = _place(road, float(arc), offset_m)
         look = paint(rng.uniform(*light.paint), light, texture_seed(rng))
         T_world_car = box_at((x, y, 0.0), (1.0, 1.0, 1.0), look, yaw).T_body_box
@@ -108,7 +121,7 @@ def _poles(
     road: Road, places: FloatArray, offset_m: float, light: LightPart, rng: np.random.Generator
 ) -> list[Box]:
     boxes = []
-    for arc in places + rng.uniform(-5.0, 5.0):
+    for arc in places:
         x, y, yaw = _place(road, float(arc), offset_m)
         look = Texture(
             0.8 * rng.uniform(*light.paint), 30.0 * light.contrast, 0.5, texture_seed(rng)
