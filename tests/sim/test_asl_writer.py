@@ -73,7 +73,7 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     assert np.diff(imu.timestamp_ns).max() >= 10_000_000  # samples are missing from the file
     frames = render_stereo(
         simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-        simulation.optics.noise_grey, picture_rng,
+        simulation.optics, picture_rng,
     )  # fmt: skip
     paths = zip(sequence.left_paths, sequence.right_paths, strict=True)
     for frame, (left, right) in zip(frames, paths, strict=True):

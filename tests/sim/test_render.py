@@ -12,6 +12,7 @@ from ovmot.sim.paths import standing_path, straight_path
 from ovmot.sim.profiles import SmoothSteps
 from ovmot.sim.render import Picture, RenderedFrame, camera_rays, render_picture, render_stereo
 from ovmot.sim.scene import Mover, Scene, Texture, box_at, car_boxes
+from ovmot.sim.simulation import Optics
 
 ORIGIN = 1_500_000_000_000_000_000
 CAR = np.array([4.4, 1.8, 1.45])
@@ -46,7 +47,7 @@ def car(number: int, speed: float = 5.0) -> Mover:
 def stereo(scene: Scene, seed: int = 0, noise: float = 0.0, frames: int = 1) -> list[RenderedFrame]:
     path = standing_path(T_WORLD_IMU, ORIGIN, 1.0)
     times = ORIGIN + 100_000_000 * np.arange(frames)
-    return list(render_stereo(scene, RIG, path, times, noise, np.random.default_rng(seed)))
+    return list(render_stereo(scene, RIG, path, times, Optics(noise), np.random.default_rng(seed)))
 
 
 def carry(

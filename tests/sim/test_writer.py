@@ -52,7 +52,7 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     frame = next(
         render_stereo(
             simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-            simulation.optics.noise_grey, rng,
+            simulation.optics, rng,
         )
     )  # fmt: skip
     # demosaicing averages neighbours: it blurs the noise, and keeps the picture

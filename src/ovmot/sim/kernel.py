@@ -1,17 +1,19 @@
 """The compiled ray caster: one ray a pixel against ground and boxes, four at surfaces' edges.
 
-Alone in its file with all it calls; tests/sim/test_kernel.py holds its plain NumPy twin. It keeps
-no compiled code on disk: it compiles once a process, in some seconds, and holds no Python lock.
+Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
+(`kernel_cache`); compiling takes some seconds. It holds no Python lock. tests/sim/test_kernel.py
+holds its plain NumPy twin.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numba import njit
 
 from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
+from ovmot.sim.kernel_cache import code_folder, compiled
 
 SKY, GROUND, FIRST_BOX = 0, 1, 2
 PERSISTENCE = 0.75
@@ -30,8 +32,13 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def _compiled(function: _F) -> _F:
-    """numba's `njit`, which has no types of its own, with the function's type kept."""
-    return cast(_F, njit(nogil=True, error_model="numpy")(function))
+    """A part of `render_view`: compiled into it, with no code of its own on disk."""
+    return compiled(function, None)
+
+
+def _compiled_once(function: _F) -> _F:
+    """Compiled, and kept in the user's cache."""
+    return compiled(function, code_folder(Path(__file__)))
 
 
 class View(NamedTuple):
@@ -69,20 +76,36 @@ def _cell(ix: np.int64, iy: np.int64, seed: np.uint64) -> float:
 
 @_compiled
 def _ramp(f: float, width: float) -> float:
-    return min(max((f - 0.5) / width + 0.5, 0.0), 1.0)
+    """From 0 to 1 around f = 1/2; no division where it is flat, which is almost everywhere."""
+    rise = f - 0.5
+    if rise >= 0.5 * width:
+        return 1.0
+    if rise <= -0.5 * width:
+        return 0.0
+    return rise / width + 0.5
 
 
 @_compiled
 def _noise(x: float, y: float, width_x: float, width_y: float, seed: np.uint64) -> float:
-    """Value noise at lattice coordinates, its edges as wide as told (1: bilinear)."""
+    """Value noise at lattice coordinates, its edges as wide as told (1: bilinear).
+
+    Cells of no weight are not hashed.
+    """
     fx, fy = math.floor(x), math.floor(y)
     ix, iy = np.int64(fx), np.int64(fy)
     sx, sy = _ramp(x - fx, width_x), _ramp(y - fy, width_y)
     one = np.int64(1)
-    if sx in (0.0, 1.0) and sy in (0.0, 1.0):
-        return _cell(ix + np.int64(sx), iy + np.int64(sy), seed)
-    low = (1.0 - sx) * _cell(ix, iy, seed) + sx * _cell(ix + one, iy, seed)
-    high = (1.0 - sx) * _cell(ix, iy + one, seed) + sx * _cell(ix + one, iy + one, seed)
+    low = high = 0.0
+    if sy < 1.0:
+        if sx < 1.0:
+            low = (1.0 - sx) * _cell(ix, iy, seed)
+        if sx > 0.0:
+            low += sx * _cell(ix + one, iy, seed)
+    if sy > 0.0:
+        if sx < 1.0:
+            high = (1.0 - sx) * _cell(ix, iy + one, seed)
+        if sx > 0.0:
+            high += sx * _cell(ix + one, iy + one, seed)
     return (1.0 - sy) * low + sy * high
 
 
@@ -94,19 +117,19 @@ def _texture(
 
     An octave fades out before its cells are as small as the pixel, so that it can not alias.
     """
-    grey, amplitude, size, softness = looks[row, 0], looks[row, 1], looks[row, 2], looks[row, 3]
-    shift = 0.0
+    grey, amplitude, softness = looks[row, 0], looks[row, 1], looks[row, 3]
+    per_m = 1.0 / looks[row, 2]
+    width_u, width_v = EDGE_PIXELS * pixel_u * per_m, EDGE_PIXELS * pixel_v * per_m
+    x, y, shift = u * per_m, v * per_m, 0.0
     for octave in range(int(looks[row, 4])):
-        width_u, width_v = EDGE_PIXELS * pixel_u / size, EDGE_PIXELS * pixel_v / size
         fade = min(2.0 - 2.0 * max(width_u, width_v), 1.0)
         if fade <= 0.0:
             break
         soft_u = min(max(width_u, softness, SHARPEST), 1.0)
         soft_v = min(max(width_v, softness, SHARPEST), 1.0)
         mixed = seed + np.uint64(octave * 7919)
-        n = _noise(u / size + shift, v / size + shift, soft_u, soft_v, mixed)
-        grey += fade * amplitude * n
-        size *= 0.5
+        grey += fade * amplitude * _noise(x + shift, y + shift, soft_u, soft_v, mixed)
+        x, y, width_u, width_v = 2.0 * x, 2.0 * y, 2.0 * width_u, 2.0 * width_v
         shift += OCTAVE_SHIFT
         amplitude *= PERSISTENCE
     return float(grey)
@@ -154,6 +177,9 @@ def _cast(
         b = candidates[i]
         if view.near[b] > t:
             break
+        left, top, right, bottom = view.bounds[b]
+        if ray[0] < left or ray[0] > right or ray[1] < top or ray[1] > bottom:
+            continue
         hit, face = _hit_box(view, b, ray)
         if 0.0 < hit < t:
             surface, t = FIRST_BOX + 6 * b + face, hit
@@ -257,7 +283,7 @@ def _refine(
     return total / len(SAMPLES)
 
 
-@_compiled
+@_compiled_once
 def render_view(
     rays: FloatArray, view: View, grey: AnyArray, surface: AnyArray, depth: AnyArray
 ) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -13,7 +13,9 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.sim import kernel
+from ovmot.sim.optics import defocused, exposure_gains, sub_exposures
 from ovmot.sim.scene import Box, Scene, Texture
+from ovmot.sim.simulation import Optics
 from ovmot.types import StereoFrame
 
 _AMBIENT = 0.72
@@ -71,10 +73,24 @@ def render_picture(
     return Picture(np.clip(np.nan_to_num(grey), 0.0, 255.0), ids[seen], depth, surface)
 
 
-def expose(picture: Picture, noise_grey: float, rng: np.random.Generator) -> Image:
-    """The picture as 8-bit grey (H, W), with white noise of `noise_grey` levels."""
-    noise = noise_grey * rng.standard_normal(picture.grey.shape, dtype=np.float32)
-    return np.asarray(np.clip(np.round(picture.grey + noise), 0, 255), dtype=np.uint8)
+def render_exposure(
+    scene: Scene, rays: FloatArray, path: PoseSpline, T_imu_cam: FloatArray, timestamp_ns: int,
+    exposure_s: float,
+) -> Picture:  # fmt: skip
+    """The mean of sub-exposures around the stamp; all but `grey` is the truth at the stamp."""
+    times = sub_exposures(timestamp_ns, exposure_s)
+    pictures = [render_picture(scene, rays, path.pose(t) @ T_imu_cam, t) for t in times]
+    if len(pictures) == 1:
+        return pictures[0]
+    grey = np.mean([picture.grey for picture in pictures], axis=0, dtype=np.float32)
+    return replace(pictures[len(pictures) // 2], grey=grey)
+
+
+def expose(picture: Picture, optics: Optics, gain: float, rng: np.random.Generator) -> Image:
+    """The picture as 8-bit grey (H, W): blurred by the lens, brightened by `gain`, with noise."""
+    grey = np.float32(gain) * defocused(picture.grey, optics.defocus_px)
+    noise = optics.noise_grey * rng.standard_normal(grey.shape, dtype=np.float32)
+    return np.asarray(np.clip(np.round(grey + noise), 0, 255), dtype=np.uint8)
 
 
 def render_stereo(
@@ -82,19 +98,19 @@ def render_stereo(
     rig: StereoRig,
     path: PoseSpline,
     timestamp_ns: IntArray,
-    noise_grey: float,
+    optics: Optics,
     rng: np.random.Generator,
 ) -> Iterator[RenderedFrame]:
     """Stereo frames along T_world_imu(t) at camera times (N,), rendered ahead in two threads."""
     rays = [camera_rays(camera) for camera in rig.cameras]
     mounts = (rig.T_imu_cam0, rig.T_imu_cam1)
+    gains = exposure_gains(timestamp_ns, optics.exposure_drift, rng.spawn(1)[0])
     with ThreadPoolExecutor(max_workers=2) as pool:
 
         def start(time_ns: int) -> list[Future[Picture]]:
-            T_world_imu = path.pose(time_ns)
             return [
-                pool.submit(render_picture, scene, r, T_world_imu @ T_imu_cam, time_ns)
-                for r, T_imu_cam in zip(rays, mounts, strict=True)
+                pool.submit(render_exposure, scene, r, path, T, time_ns, optics.exposure_s)
+                for r, T in zip(rays, mounts, strict=True)
             ]
 
         times = [int(t) for t in timestamp_ns]
@@ -102,10 +118,11 @@ def render_stereo(
         for i, time_ns in enumerate(times):
             left, right = (job.result() for job in ahead)
             ahead = start(times[i + 1]) if i + 1 < len(times) else []
-            pair = StereoFrame(
-                time_ns, expose(left, noise_grey, rng), expose(right, noise_grey, rng)
-            )
-            yield RenderedFrame(pair, left, right)
+            images = [
+                expose(picture, optics, float(gain), rng)
+                for picture, gain in zip((left, right), gains[i], strict=True)
+            ]
+            yield RenderedFrame(StereoFrame(time_ns, *images), left, right)
 
 
 def scene_view(

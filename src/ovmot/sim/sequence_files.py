@@ -106,7 +106,7 @@ def write_frames(
     """
     frames = render_stereo(
         simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-        simulation.optics.noise_grey, rng,
+        simulation.optics, rng,
     )  # fmt: skip
     entries = []
     pending: deque[tuple[int, Future[None]]] = deque()

@@ -23,9 +23,17 @@ class ImuModel:
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """What stands between the scene and the pictures: white noise, in grey levels."""
+    """What stands between the scene and the pictures.
+
+    `noise_grey` is the standard deviation of white noise, grey levels; `exposure_drift` the
+    greatest change of the brightness, as a share; `defocus_px` the standard deviation of the lens's
+    blur; `exposure_s` the time over which a picture gathers light, its stamp in the middle.
+    """
 
     noise_grey: float = 2.0
+    exposure_drift: float = 0.0
+    defocus_px: float = 0.0
+    exposure_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

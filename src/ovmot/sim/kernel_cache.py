@@ -1,0 +1,84 @@
+"""Compiled machine code kept on disk, so that only the first simulation on a machine compiles.
+
+numba by itself writes beside the sources, or where an environment variable of the process tells.
+Here the folder is the user's own, and its name is a hash of the source: other text, other folder.
+numba adds its version and the processor to the key and writes each file in one move, so that
+several processes may share the folder.
+"""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_KEY_LENGTH = 16
+
+
+def compiled(function: _F, folder: Path | None) -> _F:
+    """numba's `njit` without Python's lock, its code kept in `folder` (None: in memory only)."""
+    if folder is None:
+        return _njit(function, cache=False)
+    config = vars(numba.config)
+    before = config["CACHE_DIR"]
+    config["CACHE_DIR"] = str(folder)  # read while decorating, and only then
+    try:
+        dispatcher: Any = _njit(function, cache=True)
+    except RuntimeError:  # numba found no place that it may write to
+        return _njit(function, cache=False)
+    finally:
+        config["CACHE_DIR"] = before
+    dispatcher._cache = _Forgiving(dispatcher._cache)
+    return cast(_F, dispatcher)
+
+
+def _njit(function: _F, cache: bool) -> _F:
+    decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache)
+    return cast(_F, decorate(function))
+
+
+class _Forgiving:
+    """numba's cache of one function, with a spoilt file or a full disk as good as no cache."""
+
+    def __init__(self, inner: Any) -> None:
+        self._inner = inner
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The compiled code, or None: then it is compiled anew."""
+        try:
+            return self._inner.load_overload(signature, target_context)
+        except Exception:  # whatever unpickling spoilt bytes may raise
+            return None
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        """Keep compiled code, if that can be done."""
+        with contextlib.suppress(OSError, EOFError, pickle.PickleError):
+            self._inner.save_overload(signature, data)
+
+
+def code_folder(source: Path) -> Path | None:
+    """The folder of the user's cache for the code compiled from this file; None if not writable.
+
+    `$XDG_CACHE_HOME/ovmot` or `~/.cache/ovmot` (XDG Base Directory Specification; a relative path
+    in the variable counts as unset).
+    """
+    try:
+        told = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        base = told if told.is_absolute() else Path.home() / ".cache"
+        texts = source.read_bytes() + Path(__file__).read_bytes()  # the options stand here
+        key = hashlib.sha256(texts).hexdigest()[:_KEY_LENGTH]
+        folder = base / "ovmot" / f"{source.stem}-{key}"
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, RuntimeError):  # no such right, no disk space, no home
+        return None
