@@ -13,6 +13,7 @@ import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InputError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
@@ -32,14 +33,29 @@ class FeatureOptions:
 
     `depth_m`: range of depths at which points are made; none is seen from farther than its upper
     end. `pixel_sigma`: white noise of each coordinate. `wrong_match_share`: how many right pixels
-    are replaced by a random one. `stereo`: whether the right camera sees anything.
+    are replaced by a random one. `swapped_track_share`: how many tracks go on, from one frame to
+    the next, on another point at rest. `stereo`: whether the right camera sees anything. Raises
+    `InputError` for values that mean nothing.
     """
 
     n_features: int = 250
     pixel_sigma: float = 1.0
     depth_m: tuple[float, float] = (5.0, 7.0)
     wrong_match_share: float = 0.0
+    swapped_track_share: float = 0.0
     stereo: bool = True
+
+    def __post_init__(self) -> None:
+        near, far = self.depth_m
+        shares = (self.wrong_match_share, self.swapped_track_share)
+        for wrong, remedy in (
+            (not self.n_features >= 1, "n_features must be at least 1"),
+            (not 0.0 <= self.pixel_sigma < np.inf, "pixel_sigma must be a number of pixels"),
+            (not _NEAR_M < near <= far < np.inf, f"depth_m must rise from above {_NEAR_M} m"),
+            (not all(0.0 <= share <= 1.0 for share in shares), "shares must lie in 0 ... 1"),
+        ):
+            if wrong:
+                raise InputError(f"feature-level simulation: {remedy}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +87,13 @@ class ObservedFrame:
     """A frame and the truth of its N features.
 
     `object_id` (N,): the body, 0 for a point at rest; `wrong_match` (N,): the right pixel is not
-    the feature's.
+    the feature's; `swapped` (N,): the id was on another point in the frame before.
     """
 
     frame: FeatureFrame
     object_id: IntArray
     wrong_match: BoolArray
+    swapped: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +194,8 @@ class _World:
         resting = self._followed_first(resting)[: options.n_features]
         body_points, body_ids = self._bodies(time_ns)
         moving = np.flatnonzero(_seen(simulation.rig.cam0, T_world_cam0, body_points, np.inf))
+        swapped = np.zeros(len(resting) + len(moving), np.bool_)
+        swapped[: len(resting)] = self._swap_tracks(resting)
         self._track = self._renamed(self._track, resting)
         self._body_track = self._renamed(self._body_track, moving)
         p_world = np.concatenate([self._points[resting], body_points[moving]])
@@ -185,7 +204,7 @@ class _World:
         pixels, wrong = self._pixels(time_ns, p_world)
         inside = simulation.rig.cam0.inside(pixels[:, :2])
         frame = FeatureFrame(time_ns, feature_id[inside], pixels[inside])
-        return ObservedFrame(frame, object_id[inside], wrong[inside])
+        return ObservedFrame(frame, object_id[inside], wrong[inside], swapped[inside])
 
     def _visible(self, T_world_cam0: FloatArray) -> IntArray:
         """Indices of the resting points that the left camera sees."""
@@ -216,6 +235,16 @@ class _World:
     def _followed_first(self, index: IntArray) -> IntArray:
         """Points already tracked before those that come into view: as a tracker keeps them."""
         return index[np.argsort(self._track[index] < 0, kind="stable")]
+
+    def _swap_tracks(self, seen: IntArray) -> BoolArray:
+        """Gives some of the followed points one another's tracks; which of those seen (N,)."""
+        share = self._simulation.options.swapped_track_share
+        chosen = (self._noise_rng.random(len(seen)) < share) & (self._track[seen] >= 0)
+        if chosen.sum() < 2:
+            return np.zeros_like(chosen)
+        index = self._noise_rng.permutation(seen[chosen])
+        self._track[index] = np.roll(self._track[index], 1)
+        return chosen
 
     def _renamed(self, track: IntArray, seen: IntArray) -> IntArray:
         """Track ids of all points: kept where seen again, new where seen anew, else none."""
@@ -251,7 +280,7 @@ class _World:
         wrong = rng.random(len(p_world)) < options.wrong_match_share
         stray = rng.uniform((0.0, 0.0), (rig.cam1.width - 1, rig.cam1.height - 1), (len(wrong), 2))
         right = np.where(wrong[:, None], stray, pixels[:, 2:])
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             seen = rig.cam1.inside(right) & np.isfinite(rig.cam1.normalize(right)).all(axis=1)
         pixels[:, 2:] = np.where(seen[:, None] & options.stereo, right, np.nan)
         return pixels, wrong & np.isfinite(pixels[:, 2])
@@ -262,7 +291,7 @@ def _seen(
 ) -> BoolArray:
     """Which points (N, 3) lie before a camera, near enough and inside its picture."""
     p_cam = se3.apply(se3.inverse(T_world_cam), p_world)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         uv = camera.project(p_cam)
         xy = camera.normalize(uv)  # past the lens model's reach a projection is no picture
         same = np.abs(xy - p_cam[:, :2] / p_cam[:, 2:]).max(axis=1, initial=0.0) < 1e-6
