@@ -69,9 +69,20 @@ def points_in_world(simulation: FeatureSimulation, seen: ObservedFrame) -> Float
     return se3.apply(T_world_cam0, triangulate_stereo(normalized, rig.T_cam1_cam0))
 
 
-@pytest.mark.parametrize("lens", ["radtan", "equidistant", "none"])
-def test_without_noise_every_feature_is_one_point_at_rest(lens: str) -> None:
-    rig = handheld_rig() if lens == "radtan" else with_lens(lens)
+def turned_apart() -> StereoRig:
+    """A rig whose lens model folds over what its right camera, looking aside, does not see."""
+    camera = Camera.make((752, 480), (458.0, 458.0), (375.5, 239.5), "radtan", [-0.3, 0, 0, 0])
+    rig = replace(handheld_rig(), cam0=camera, cam1=camera)
+    turn = se3.make(so3.exp(np.array([0.0, 0.8, 0.0])), np.zeros(3))
+    return replace(rig, T_imu_cam1=rig.T_imu_cam1 @ turn)
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [handheld_rig(), with_lens("equidistant"), with_lens("none"), turned_apart()],
+    ids=["radtan", "equidistant", "none", "turned apart"],
+)
+def test_without_noise_every_feature_is_one_point_at_rest(rig: StereoRig) -> None:
     simulation = simulation_of(NO_NOISE, rig=rig)
     first_seen: dict[int, FloatArray] = {}
     compared = 0

@@ -272,9 +272,7 @@ class _World:
         for side, (camera, T_imu_cam) in enumerate(
             zip(rig.cameras, (rig.T_imu_cam0, rig.T_imu_cam1), strict=True)
         ):
-            p_cam = se3.apply(se3.inverse(T_world_imu @ T_imu_cam), p_world)
-            exact = camera.project(p_cam)
-            exact[~(p_cam[:, 2] > _NEAR_M)] = np.nan
+            exact, _ = _projected(camera, T_world_imu @ T_imu_cam, p_world)
             pixels[:, 2 * side : 2 * side + 2] = exact
         pixels += rng.normal(0.0, options.pixel_sigma, pixels.shape)
         wrong = rng.random(len(p_world)) < options.wrong_match_share
@@ -290,13 +288,24 @@ def _seen(
     camera: Camera, T_world_cam: FloatArray, p_world: FloatArray, max_depth: float
 ) -> BoolArray:
     """Which points (N, 3) lie before a camera, near enough and inside its picture."""
+    uv, depth = _projected(camera, T_world_cam, p_world)
+    return np.asarray(camera.inside(uv) & (depth <= max_depth))
+
+
+def _projected(
+    camera: Camera, T_world_cam: FloatArray, p_world: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Pixels (N, 2) of points (N, 3), NaN for what the camera can not see, and depths (N,).
+
+    It can not see what is behind it, or past the reach of its lens model, which folds over there.
+    """
     p_cam = se3.apply(se3.inverse(T_world_cam), p_world)
-    with np.errstate(invalid="ignore", over="ignore"):
+    depth = p_cam[:, 2]
+    with np.errstate(all="ignore"):
         uv = camera.project(p_cam)
-        xy = camera.normalize(uv)  # past the lens model's reach a projection is no picture
-        same = np.abs(xy - p_cam[:, :2] / p_cam[:, 2:]).max(axis=1, initial=0.0) < 1e-6
-        depth = p_cam[:, 2]
-        return np.asarray(camera.inside(uv) & same & (depth > _NEAR_M) & (depth <= max_depth))
+        off = np.abs(camera.normalize(uv) - p_cam[:, :2] / depth[:, None]).max(axis=1, initial=0.0)
+    uv[~((off < 1e-6) & (depth > _NEAR_M))] = np.nan
+    return uv, depth
 
 
 def _samples(imu: SimulatedImu, begin: int, end: int) -> Iterator[ImuSample]:
