@@ -1,18 +1,23 @@
 """A feature-level simulation goes through the same pipeline and leaves an ordinary run."""
 
+import csv
 import json
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ovmot.config import Settings
+from ovmot.config import Settings, load_settings
 from ovmot.errors import InputError
+from ovmot.evaluation.consistency import nees, pose_errors
+from ovmot.evaluation.run_files import read_ego_run
 from ovmot.formats import read_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
 from ovmot.run import RunOptions, run_features
-from ovmot.sim.features import FeatureOptions, FeatureRecording, FeatureSimulation
+from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
 from ovmot.sim.handheld import EUROC_NOISE, ORIGIN_NS, handheld_rig
 from ovmot.sim.simulation import ImuModel
 
@@ -42,6 +47,60 @@ def test_the_run_follows_the_truth(recording: FeatureRecording, tmp_path: Path) 
     assert told["input"]["kind"] == "features"
     assert told["options"]["start"] == "truth"
     assert told["counts"]["frames_written"] == 60
+
+
+def test_the_covariance_is_honest(recording: FeatureRecording, tmp_path: Path) -> None:
+    """NEES of runs that share nothing but the path: within wide bounds around its 3."""
+    simulation = replace(
+        recording.simulation, options=FeatureOptions(n_features=100, pixel_sigma=0.4)
+    )
+    of_runs = []
+    for seed in range(3):
+        run_features(
+            FeatureRecording(simulation, seed), load_settings(None, ["filter.pixel_sigma=0.4"]),
+            RunOptions(tmp_path / str(seed)),
+        )  # fmt: skip
+        run, truth = read_ego_run(tmp_path / str(seed)), FeatureRecording(simulation, seed).truth()
+        assert run.covariance is not None
+        errors = pose_errors(truth.T_world_imu, run.T_world_imu)
+        of_runs.append(
+            [nees(errors[:, k], run.covariance[:, k, k]) for k in (slice(0, 3), slice(3, 6))]
+        )
+    orientation, position = np.mean(of_runs, axis=(0, 2))
+    assert 0.5 < orientation < 7.0
+    assert 0.5 < position < 7.0
+
+
+def test_points_on_a_moving_body_are_found_dynamic(
+    recording: FeatureRecording, tmp_path: Path
+) -> None:
+    ahead = recording.simulation.path.pose(ORIGIN_NS + 3_000_000_000) @ handheld_rig().T_imu_cam0
+    t = np.linspace(-1.0, 7.0, 40)
+    across = np.stack([1.5 * (t - 3.0), np.zeros(40), np.full(40, 5.0)], axis=-1)
+    poses = ahead @ se3.make(np.broadcast_to(np.eye(3), (40, 3, 3)), across)
+    path = PoseSpline.through(ORIGIN_NS + np.round(1e9 * t).astype(np.int64), poses)
+    points = np.random.default_rng(5).uniform(-0.7, 0.7, (30, 3))
+    simulation = replace(
+        recording.simulation,
+        options=FeatureOptions(n_features=100, pixel_sigma=0.3),
+        bodies=(FeatureBody(1, path, points),),
+    )
+    moving = FeatureRecording(simulation, 6)
+    run_features(moving, Settings(), RunOptions(tmp_path / "out", save_points=True))
+    true_body = {
+        (seen.frame.timestamp_ns, feature_id): body
+        for seen in moving.frames()
+        for feature_id, body in zip(
+            seen.frame.feature_id.tolist(), seen.object_id.tolist(), strict=True
+        )
+    }
+    found: dict[int, Counter[str]] = {0: Counter(), 1: Counter()}
+    with (tmp_path / "out" / "points.csv").open() as file:
+        for row in csv.DictReader(file):
+            found[true_body[int(row["timestamp_ns"]), int(row["feature_id"])]][row["label"]] += 1
+    assert found[1]["dynamic"] > 300
+    assert found[1]["static"] < 0.1 * found[1]["dynamic"]
+    assert found[0]["dynamic"] < 0.01 * found[0]["static"]
 
 
 def test_what_needs_images_is_refused(recording: FeatureRecording, tmp_path: Path) -> None:

@@ -88,11 +88,12 @@ def run_features(
     settings: Settings,
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
+    start_sigmas: StartSigmas = StartSigmas(),  # noqa: B008 - frozen
 ) -> RunSummary:
     """Run a feature-level simulation, started at its truth; as `run_sequence` otherwise.
 
-    Raises `InputError` for what needs images or frame numbers: an overlay, poses from a file, a
-    first or last frame.
+    `start_sigmas` is how sure of that start the filter is told to be. Raises `InputError` for what
+    needs images or frame numbers: an overlay, poses from a file, a first or last frame.
     """
     if options.video or options.ego_poses is not None or options.first or options.last is not None:
         raise InputError("a feature-level simulation has no images and runs from end to end")
@@ -101,7 +102,7 @@ def run_features(
         name="feature simulation",
         rig=simulation.rig,
         stream=recording.events(),
-        start=known_start(recording, settings),
+        start=known_start(recording, settings, start_sigmas),
         frontend=GivenFeatures(simulation.rig, settings.tracker, settings.epipolar),
         imu_noise=simulation.imu.noise,
         identity=InputIdentity(
@@ -207,15 +208,15 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
     return FilterStart(sequence.rig, imu_noise(sequence, settings), settings)
 
 
-def known_start(recording: FeatureRecording, settings: Settings) -> KnownStart:
-    """The filter's start at the truth of a simulation's first frame."""
+def known_start(recording: FeatureRecording, settings: Settings, sigmas: StartSigmas) -> KnownStart:
+    """The filter's start at the truth of a simulation's first frame, exact biases included."""
     simulation, truth = recording.simulation, recording.truth()
     T = truth.T_world_imu[0]
     state = ImuState(
         T[:3, :3], T[:3, 3], truth.velocity[0], truth.gyro_bias[0], truth.accel_bias[0]
     )
     return KnownStart(
-        int(truth.timestamp_ns[0]), state, StartSigmas(), simulation.rig, simulation.imu.noise,
+        int(truth.timestamp_ns[0]), state, sigmas, simulation.rig, simulation.imu.noise,
         settings,
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
+from ovmot.errors import InputError
 from ovmot.frontend.given_features import GivenFeatures
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
@@ -67,9 +69,20 @@ def points_in_world(simulation: FeatureSimulation, seen: ObservedFrame) -> Float
     return se3.apply(T_world_cam0, triangulate_stereo(normalized, rig.T_cam1_cam0))
 
 
-@pytest.mark.parametrize("lens", ["radtan", "equidistant", "none"])
-def test_without_noise_every_feature_is_one_point_at_rest(lens: str) -> None:
-    rig = handheld_rig() if lens == "radtan" else with_lens(lens)
+def turned_apart() -> StereoRig:
+    """A rig whose lens model folds over what its right camera, looking aside, does not see."""
+    camera = Camera.make((752, 480), (458.0, 458.0), (375.5, 239.5), "radtan", [-0.3, 0, 0, 0])
+    rig = replace(handheld_rig(), cam0=camera, cam1=camera)
+    turn = se3.make(so3.exp(np.array([0.0, 0.8, 0.0])), np.zeros(3))
+    return replace(rig, T_imu_cam1=rig.T_imu_cam1 @ turn)
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [handheld_rig(), with_lens("equidistant"), with_lens("none"), turned_apart()],
+    ids=["radtan", "equidistant", "none", "turned apart"],
+)
+def test_without_noise_every_feature_is_one_point_at_rest(rig: StereoRig) -> None:
     simulation = simulation_of(NO_NOISE, rig=rig)
     first_seen: dict[int, FloatArray] = {}
     compared = 0
@@ -140,6 +153,40 @@ def test_wrong_matches_come_at_the_asked_rate_and_the_gate_refuses_most() -> Non
     assert 0.25 < wrong_seen / (wrong_seen + right_seen) < 0.4  # stray ones are always in view
     assert wrong_kept < 0.03 * wrong_seen
     assert right_kept > 0.99 * right_seen
+
+
+def test_swapped_tracks_go_on_at_another_point() -> None:
+    simulation = simulation_of(replace(NO_NOISE, swapped_track_share=0.1))
+    where: dict[int, FloatArray] = {}
+    followed = jumped = 0
+    for seen in FeatureRecording(simulation, 2).frames():
+        points = points_in_world(simulation, seen)
+        for feature_id, point, swapped in zip(
+            seen.frame.feature_id.tolist(), points, seen.swapped, strict=True
+        ):
+            before = where.pop(feature_id, None)
+            if np.isfinite(point[0]):
+                where[feature_id] = point
+                if before is not None:
+                    assert (np.linalg.norm(point - before) > 1e-3) == swapped
+                    followed += 1
+                    jumped += int(swapped)
+    assert 0.07 < jumped / followed < 0.13
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"n_features": 0}, "n_features"),
+        ({"pixel_sigma": -1.0}, "pixel_sigma"),
+        ({"depth_m": (7.0, 5.0)}, "depth_m"),
+        ({"wrong_match_share": 1.5}, "shares"),
+        ({"swapped_track_share": float("nan")}, "shares"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(options: dict[str, Any], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        FeatureOptions(**options)
 
 
 def test_a_body_moves_as_its_path_does() -> None:

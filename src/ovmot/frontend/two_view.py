@@ -23,9 +23,12 @@ def two_view_inliers(before: FloatArray, now: FloatArray, threshold: float) -> B
         return ok
     # The solver's own tolerances are made for pixels: give it coordinates of that size.
     scale = 1.0 / threshold
-    _, mask = cv2.findFundamentalMat(
-        before[ok] * scale, now[ok] * scale, cv2.USAC_MAGSAC, 1.0, _CONFIDENCE, _MAX_ITERATIONS
-    )
+    try:
+        _, mask = cv2.findFundamentalMat(
+            before[ok] * scale, now[ok] * scale, cv2.USAC_MAGSAC, 1.0, _CONFIDENCE, _MAX_ITERATIONS
+        )
+    except cv2.error:  # raised, by some noisy inputs, where the last refinement finds no model
+        return ok
     if mask is None or mask.sum() < _MIN_POINTS:
         return ok
     inliers = np.zeros(len(before), dtype=np.bool_)

@@ -26,7 +26,11 @@ from ovmot.types import FrontendFrame, ImuNoise
 
 @dataclass(frozen=True, slots=True)
 class StartSigmas:
-    """One-sigma of a known start: rad, m, m/s, rad/s, m/s²."""
+    """One-sigma of a known start: rad, m, m/s, rad/s, m/s².
+
+    Errors of pose and velocity are counted from the start on: what the sigmas of position and
+    heading say is never observed, stays in the covariance, and lowers every later NEES.
+    """
 
     rotation: float = 1e-3
     position: float = 1e-3
@@ -35,11 +39,18 @@ class StartSigmas:
     accel_bias: float = 1e-2
 
 
+OPENVINS_SIGMAS = StartSigmas(
+    rotation=0.017, position=0.05, velocity=0.01, gyro_bias=0.02, accel_bias=0.02
+)
+"""What OpenVINS 2.6 assumes when its simulator starts it at the truth; for comparison with it."""
+
+
 @dataclass(frozen=True, slots=True)
 class KnownStart:
     """Gives a filter whose state at the frame `timestamp_ns` is `imu`.
 
-    The world is that of the given state: heading and position need no alignment afterwards.
+    The state, biases included, is taken as given; nothing is drawn by `sigmas`. The world is that
+    of this state: heading and position need no alignment afterwards.
     """
 
     timestamp_ns: int

@@ -13,17 +13,17 @@ import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InputError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.imu import SimulatedImu, simulated_imu
+from ovmot.sim.point_map import PointMap
 from ovmot.sim.simulation import ImuModel
 from ovmot.types import Event, FeatureFrame, ImuSample
 
 _IMU_MARGIN_S = 0.3
 _NEAR_M = 0.1
-_CULL_M = 2.0
-"""The list of points near enough to be seen is made anew after this much motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,14 +32,29 @@ class FeatureOptions:
 
     `depth_m`: range of depths at which points are made; none is seen from farther than its upper
     end. `pixel_sigma`: white noise of each coordinate. `wrong_match_share`: how many right pixels
-    are replaced by a random one. `stereo`: whether the right camera sees anything.
+    are replaced by a random one. `swapped_track_share`: how many tracks go on, from one frame to
+    the next, on another point at rest. `stereo`: whether the right camera sees anything. Raises
+    `InputError` for values that mean nothing.
     """
 
     n_features: int = 250
     pixel_sigma: float = 1.0
     depth_m: tuple[float, float] = (5.0, 7.0)
     wrong_match_share: float = 0.0
+    swapped_track_share: float = 0.0
     stereo: bool = True
+
+    def __post_init__(self) -> None:
+        near, far = self.depth_m
+        shares = (self.wrong_match_share, self.swapped_track_share)
+        for wrong, remedy in (
+            (not self.n_features >= 1, "n_features must be at least 1"),
+            (not 0.0 <= self.pixel_sigma < np.inf, "pixel_sigma must be a number of pixels"),
+            (not _NEAR_M < near <= far < np.inf, f"depth_m must rise from above {_NEAR_M} m"),
+            (not all(0.0 <= share <= 1.0 for share in shares), "shares must lie in 0 ... 1"),
+        ):
+            if wrong:
+                raise InputError(f"feature-level simulation: {remedy}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +86,13 @@ class ObservedFrame:
     """A frame and the truth of its N features.
 
     `object_id` (N,): the body, 0 for a point at rest; `wrong_match` (N,): the right pixel is not
-    the feature's.
+    the feature's; `swapped` (N,): the id was on another point in the frame before.
     """
 
     frame: FeatureFrame
     object_id: IntArray
     wrong_match: BoolArray
+    swapped: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +163,10 @@ class FeatureRecording:
 
 
 class _World:
-    """The points made so far, and which of them are being tracked under which id."""
+    """The points made so far, and which were seen in the last frame, under which id.
+
+    A point's index is its place in the map; those of bodies count down from -1.
+    """
 
     def __init__(
         self,
@@ -158,73 +177,68 @@ class _World:
         self._simulation = simulation
         self._map_rng = map_rng
         self._noise_rng = noise_rng
-        self._points = np.empty((0, 3))
-        self._near = np.empty(0, dtype=np.int64)
-        self._near_center = np.full(3, np.inf)
-        body_points = sum(len(body.points) for body in simulation.bodies)
-        self._track = np.empty(0, dtype=np.int64)
-        self._body_track = np.full(body_points, -1, dtype=np.int64)
+        self._map = PointMap(simulation.options.depth_m[1] * _longest_ray(simulation.rig.cam0))
+        self._seen_index = np.empty(0, dtype=np.int64)  # rising
+        self._seen_id = np.empty(0, dtype=np.int64)
         self._next_id = 0
 
     def observe(self, time_ns: int) -> ObservedFrame:
         """What is seen at one time; a point that was lost from view gets a new id."""
         simulation, options = self._simulation, self._simulation.options
         T_world_cam0 = simulation.path.pose(time_ns) @ simulation.rig.T_imu_cam0
-        resting = self._visible(T_world_cam0)
-        if len(resting) < options.n_features:
-            self._make_points(T_world_cam0, options.n_features - len(resting))
-            resting = self._visible(T_world_cam0)
-        resting = self._followed_first(resting)[: options.n_features]
+        index, resting = self._visible(T_world_cam0)
+        if len(index) < options.n_features:
+            self._map.add(self._new_points(T_world_cam0, options.n_features - len(index)))
+            index, resting = self._visible(T_world_cam0)
+        followed_first = np.argsort(~np.isin(index, self._seen_index), kind="stable")
+        kept = followed_first[: options.n_features]  # as a tracker keeps what it has
         body_points, body_ids = self._bodies(time_ns)
         moving = np.flatnonzero(_seen(simulation.rig.cam0, T_world_cam0, body_points, np.inf))
-        self._track = self._renamed(self._track, resting)
-        self._body_track = self._renamed(self._body_track, moving)
-        p_world = np.concatenate([self._points[resting], body_points[moving]])
-        feature_id = np.concatenate([self._track[resting], self._body_track[moving]])
-        object_id = np.concatenate([np.zeros(len(resting), np.int64), body_ids[moving]])
+        index = np.concatenate([index[kept], -1 - moving])
+        feature_id, swapped = self._tracks(index)
+        p_world = np.concatenate([resting[kept], body_points[moving]])
+        object_id = np.concatenate([np.zeros(len(kept), np.int64), body_ids[moving]])
         pixels, wrong = self._pixels(time_ns, p_world)
         inside = simulation.rig.cam0.inside(pixels[:, :2])
         frame = FeatureFrame(time_ns, feature_id[inside], pixels[inside])
-        return ObservedFrame(frame, object_id[inside], wrong[inside])
+        return ObservedFrame(frame, object_id[inside], wrong[inside], swapped[inside])
 
-    def _visible(self, T_world_cam0: FloatArray) -> IntArray:
-        """Indices of the resting points that the left camera sees."""
-        center = T_world_cam0[:3, 3]
+    def _visible(self, T_world_cam0: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Indices and positions of the resting points that the left camera sees."""
+        index, points = self._map.near(T_world_cam0[:3, 3])
         reach = self._simulation.options.depth_m[1]
-        if not np.linalg.norm(center - self._near_center) < _CULL_M:
-            # a pixel's ray is at most some times longer than its depth
-            distance = np.linalg.norm(self._points - center, axis=1)
-            self._near = np.flatnonzero(distance < 2.5 * reach + _CULL_M)
-            self._near_center = center
-        seen = _seen(self._simulation.rig.cam0, T_world_cam0, self._points[self._near], reach)
-        return self._near[seen]
+        seen = _seen(self._simulation.rig.cam0, T_world_cam0, points, reach)
+        return index[seen], points[seen]
 
-    def _make_points(self, T_world_cam0: FloatArray, count: int) -> None:
-        """Adds points at random depths behind random pixels of the left camera."""
+    def _new_points(self, T_world_cam0: FloatArray, count: int) -> FloatArray:
+        """Points at random depths behind random pixels of the left camera."""
         camera = self._simulation.rig.cam0
         uv = self._map_rng.uniform((0.0, 0.0), (camera.width - 1, camera.height - 1), (count, 2))
         depth = self._map_rng.uniform(*self._simulation.options.depth_m, count)
         xy = camera.normalize(uv)
         known = np.isfinite(xy).all(axis=1)
         rays = np.concatenate([xy, np.ones((count, 1))], axis=1)
-        made = se3.apply(T_world_cam0, (depth[:, None] * rays)[known])
-        first = len(self._points)
-        self._points = np.concatenate([self._points, made])
-        self._track = np.concatenate([self._track, np.full(len(made), -1, dtype=np.int64)])
-        self._near = np.concatenate([self._near, first + np.arange(len(made))])
+        return se3.apply(T_world_cam0, (depth[:, None] * rays)[known])
 
-    def _followed_first(self, index: IntArray) -> IntArray:
-        """Points already tracked before those that come into view: as a tracker keeps them."""
-        return index[np.argsort(self._track[index] < 0, kind="stable")]
-
-    def _renamed(self, track: IntArray, seen: IntArray) -> IntArray:
-        """Track ids of all points: kept where seen again, new where seen anew, else none."""
-        out = np.full_like(track, -1)
-        out[seen] = track[seen]
-        fresh = seen[track[seen] < 0]
-        out[fresh] = self._next_id + np.arange(len(fresh))
+    def _tracks(self, index: IntArray) -> tuple[IntArray, BoolArray]:
+        """Ids of the points seen (N,), kept where seen before, else new; and which were swapped."""
+        _, now, then = np.intersect1d(
+            index, self._seen_index, assume_unique=True, return_indices=True
+        )
+        track = np.full(len(index), -1, dtype=np.int64)
+        track[now] = self._seen_id[then]
+        share = self._simulation.options.swapped_track_share
+        swapped = (self._noise_rng.random(len(index)) < share) & (track >= 0) & (index >= 0)
+        if swapped.sum() < 2:
+            swapped[:] = False
+        among = self._noise_rng.permutation(np.flatnonzero(swapped))
+        track[among] = np.roll(track[among], 1)
+        fresh = np.flatnonzero(track < 0)
+        track[fresh] = self._next_id + np.arange(len(fresh))
         self._next_id += len(fresh)
-        return out
+        order = np.argsort(index)
+        self._seen_index, self._seen_id = index[order], track[order]
+        return track, swapped
 
     def _bodies(self, time_ns: int) -> tuple[FloatArray, IntArray]:
         """Points of all bodies in the world and the body of each."""
@@ -243,15 +257,13 @@ class _World:
         for side, (camera, T_imu_cam) in enumerate(
             zip(rig.cameras, (rig.T_imu_cam0, rig.T_imu_cam1), strict=True)
         ):
-            p_cam = se3.apply(se3.inverse(T_world_imu @ T_imu_cam), p_world)
-            exact = camera.project(p_cam)
-            exact[~(p_cam[:, 2] > _NEAR_M)] = np.nan
+            exact, _ = _projected(camera, T_world_imu @ T_imu_cam, p_world)
             pixels[:, 2 * side : 2 * side + 2] = exact
         pixels += rng.normal(0.0, options.pixel_sigma, pixels.shape)
         wrong = rng.random(len(p_world)) < options.wrong_match_share
         stray = rng.uniform((0.0, 0.0), (rig.cam1.width - 1, rig.cam1.height - 1), (len(wrong), 2))
         right = np.where(wrong[:, None], stray, pixels[:, 2:])
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             seen = rig.cam1.inside(right) & np.isfinite(rig.cam1.normalize(right)).all(axis=1)
         pixels[:, 2:] = np.where(seen[:, None] & options.stereo, right, np.nan)
         return pixels, wrong & np.isfinite(pixels[:, 2])
@@ -261,13 +273,38 @@ def _seen(
     camera: Camera, T_world_cam: FloatArray, p_world: FloatArray, max_depth: float
 ) -> BoolArray:
     """Which points (N, 3) lie before a camera, near enough and inside its picture."""
+    uv, depth = _projected(camera, T_world_cam, p_world)
+    return np.asarray(camera.inside(uv) & (depth <= max_depth))
+
+
+def _projected(
+    camera: Camera, T_world_cam: FloatArray, p_world: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Pixels (N, 2) of points (N, 3), NaN for what the camera can not see, and depths (N,).
+
+    It can not see what is behind it, far outside its picture, or past the reach of its lens model,
+    which folds over there.
+    """
     p_cam = se3.apply(se3.inverse(T_world_cam), p_world)
-    with np.errstate(invalid="ignore"):
+    depth = p_cam[:, 2]
+    with np.errstate(all="ignore"):
         uv = camera.project(p_cam)
-        xy = camera.normalize(uv)  # past the lens model's reach a projection is no picture
-        same = np.abs(xy - p_cam[:, :2] / p_cam[:, 2:]).max(axis=1, initial=0.0) < 1e-6
-        depth = p_cam[:, 2]
-        return np.asarray(camera.inside(uv) & same & (depth > _NEAR_M) & (depth <= max_depth))
+        off_center = np.abs(uv - 0.5 * np.array([camera.width, camera.height]))
+        near_picture = np.all(off_center < 0.6 * max(camera.width, camera.height), axis=1)
+        maybe = np.flatnonzero(near_picture & (depth > _NEAR_M))
+        off = camera.normalize(uv[maybe]) - p_cam[maybe, :2] / depth[maybe, None]
+    seen = maybe[np.abs(off).max(axis=1, initial=0.0) < 1e-6]
+    out = np.full_like(uv, np.nan)
+    out[seen] = uv[seen]
+    return out, depth
+
+
+def _longest_ray(camera: Camera) -> float:
+    """Length of the longest ray to a pixel, in units of its depth, with a margin."""
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 65), np.linspace(0, camera.height - 1, 65))
+    with np.errstate(all="ignore"):
+        xy = camera.normalize(np.stack([u.ravel(), v.ravel()], axis=-1))
+    return 1.1 * float(np.sqrt(1.0 + np.nanmax(np.sum(xy**2, axis=1), initial=0.0)))
 
 
 def _samples(imu: SimulatedImu, begin: int, end: int) -> Iterator[ImuSample]:
