@@ -21,7 +21,9 @@ from pydantic import (
 from ovmot.errors import InputError
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
+    """A part of a settings file: frozen, no unknown keys, no infinities, no `yes` for a number."""
+
     model_config = ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
     )
@@ -35,7 +37,7 @@ class _Section(BaseModel):
         return value
 
 
-class TrackerSettings(_Section):
+class TrackerSettings(Section):
     """Front end: corners, optical flow, stereo matching."""
 
     max_features: int = Field(250, ge=20, le=5000)
@@ -56,7 +58,7 @@ class TrackerSettings(_Section):
     """Epipolar distance that the robust test between consecutive left images tolerates."""
 
 
-class EpipolarSettings(_Section):
+class EpipolarSettings(Section):
     """Check of stereo matches by the stereo extrinsics."""
 
     threshold_px: float = Field(1.5, gt=0.0)
@@ -65,7 +67,7 @@ class EpipolarSettings(_Section):
     """How pixels become plane units: along the line's normal, or by 1/fy."""
 
 
-class FilterSettings(_Section):
+class FilterSettings(Section):
     """The sliding-window filter (MSCKF)."""
 
     max_clones: int = Field(15, ge=4, le=60)
@@ -92,7 +94,7 @@ class FilterSettings(_Section):
     """Standard deviation of the time offset at the start, seconds."""
 
 
-class ImuSettings(_Section):
+class ImuSettings(Section):
     """Noise of the IMU; densities left out are the data's, else those of `fallback`."""
 
     gyro_noise: float | None = Field(None, gt=0.0)
@@ -109,7 +111,7 @@ class ImuSettings(_Section):
     """A hole in the IMU stream longer than this is reported, and trusted as little as it should."""
 
 
-class InitializationSettings(_Section):
+class InitializationSettings(Section):
     """How the filter starts."""
 
     window_s: float = Field(0.5, gt=0.1)
@@ -128,7 +130,7 @@ class InitializationSettings(_Section):
     """At rest, at least this share of the points stands still."""
 
 
-class GivenEgoSettings(_Section):
+class GivenEgoSettings(Section):
     """Ego motion from a pose file: how far each pose is trusted."""
 
     rotation_sigma_rad: float = Field(1e-3, gt=0.0)
@@ -139,7 +141,7 @@ class GivenEgoSettings(_Section):
     """Past poses kept for the split."""
 
 
-class ZeroVelocitySettings(_Section):
+class ZeroVelocitySettings(Section):
     """Recognition of standing still, by IMU and image together."""
 
     enabled: bool = True
@@ -158,7 +160,7 @@ class ZeroVelocitySettings(_Section):
     """Standard deviation of its motion between two frames."""
 
 
-class SplitSettings(_Section):
+class SplitSettings(Section):
     """Dynamic points: which points the ego motion does not explain."""
 
     enabled: bool = True
@@ -189,7 +191,7 @@ class SplitSettings(_Section):
     """Covariance test: further standard deviation, as a share of the way through the image."""
 
 
-class Settings(_Section):
+class Settings(Section):
     """Everything that a run can be told."""
 
     tracker: TrackerSettings = TrackerSettings()
@@ -209,7 +211,9 @@ def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
     """
     data: dict[str, Any] = {}
     if path is not None:
-        data = _read_yaml(path)
+        loaded = read_yaml_mapping(path)
+        # a section whose keys are all commented out
+        data = {key: {} if value is None else value for key, value in loaded.items()}
     for text in overrides:
         _apply_override(data, text)
     try:
@@ -232,7 +236,7 @@ def describe_settings() -> Iterator[tuple[str, str, str, str]]:
             yield f"{section_name}.{name}", kind, str(field.default), field.description or ""
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
+class UniqueKeyLoader(yaml.SafeLoader):
     """YAML's safe loader, but a key given twice is an error: else the first is lost silently."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -248,19 +252,22 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml_mapping(path: Path) -> dict[str, Any]:
+    """The keys of a YAML file, read safely; none of an empty file.
+
+    Raises `InputError` for a file that can not be read, is no YAML, or holds something else.
+    """
     try:
-        loaded = yaml.load(path.read_text(encoding="utf-8"), _UniqueKeyLoader)
+        loaded = yaml.load(path.read_text(encoding="utf-8"), UniqueKeyLoader)
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read the settings file: {error}") from None
+        raise InputError(f"{path}: cannot read the file: {error}") from None
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
-        raise InputError(f"{path}: expected sections such as 'tracker:', found {loaded!r}")
-    # a section whose keys are all commented out
-    return {key: {} if value is None else value for key, value in loaded.items()}
+        raise InputError(f"{path}: expected sections of keys, found {loaded!r}")
+    return loaded
 
 
 def _apply_override(data: dict[str, Any], text: str) -> None:

@@ -1,0 +1,205 @@
+"""The movers of a scene: their shapes, their ways, and that none of them touches another.
+
+A seed shifts and slows or hurries each mover. It is drawn again, with less freedom each time,
+until the mover's outline on the ground stays clear of the rig's and of all movers before it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.errors import InputError
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.splines import PoseSpline
+from ovmot.sim.paths import straight_path, traffic_path
+from ovmot.sim.profiles import Road, SmoothSteps
+from ovmot.sim.scene import Box, Mover, Texture, box_at, car_boxes, walker_boxes
+from ovmot.sim.scene_file import AcrossPart, AlongPart, SceneFile
+from ovmot.sim.street import CAR_SIZE, paint, texture_seed
+
+SIZES = {
+    "car": CAR_SIZE,
+    "van": np.array([5.2, 2.0, 2.3]),
+    "truck": np.array([8.0, 2.45, 3.3]),
+    "walker": np.array([0.4, 0.6, 1.75]),
+}
+CATEGORIES = {"car": "car", "van": "van", "truck": "truck", "walker": "pedestrian"}
+CLEARANCE_M = 0.4
+"""Least gap between the outlines of two bodies."""
+_CHECK_STEP_S = 0.2
+_DRAWS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A body's rectangle on the ground over N times: middle (N, 2), yaw (N,), length and width."""
+
+    xy: FloatArray
+    yaw: FloatArray
+    length: float
+    width: float
+
+    @classmethod
+    def along(cls, path: PoseSpline, times: IntArray, size: FloatArray) -> "Outline":
+        """Of a body whose middle is the path's and whose x axis is its length."""
+        T = path.pose(times)
+        yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
+        return cls(T[:, :2, 3], yaw, float(size[0]), float(size[1]))
+
+
+def touching(a: Outline, b: Outline, gap_m: float = 0.0) -> BoolArray:
+    """Whether (N,) two rectangles come nearer than `gap_m`: the separating axis theorem.
+
+    With a gap it is strict: near two corners it can call them touching a bit farther apart.
+    """
+    apart = np.zeros(len(a.xy), dtype=bool)
+    ends = b.xy - a.xy
+    for yaw in (a.yaw, a.yaw + 0.5 * np.pi, b.yaw, b.yaw + 0.5 * np.pi):
+        between = np.abs(np.cos(yaw) * ends[:, 0] + np.sin(yaw) * ends[:, 1])
+        radius = sum(
+            0.5 * body.length * np.abs(np.cos(yaw - body.yaw))
+            + 0.5 * body.width * np.abs(np.sin(yaw - body.yaw))
+            for body in (a, b)
+        )
+        apart |= between > radius + gap_m
+    return ~apart
+
+
+def check_times(origin_ns: int, duration_s: float) -> IntArray:
+    """Times (N,) at which outlines are held apart."""
+    count = int(duration_s / _CHECK_STEP_S) + 2
+    return origin_ns + round(1e9 * _CHECK_STEP_S) * np.arange(count, dtype=np.int64)
+
+
+def make_movers(
+    scene: SceneFile,
+    road: Road,
+    rig_speed: SmoothSteps,
+    rig: Outline,
+    times: IntArray,
+    rng: np.random.Generator,
+    *,
+    leave_out: bool,
+) -> tuple[Mover, ...]:
+    """The scene's movers; `rig` is the outline of what carries the cameras at `times` (N,).
+
+    A mover that would touch the rig or another one even without jitter is left out with
+    `leave_out`, for a rig that does not drive as the scene's author thought; else it raises
+    `InputError`.
+    """
+    duration_s = 1e-9 * float(times[-1] - times[0])
+    parts: list[AlongPart | AcrossPart] = [*scene.along, *scene.across]
+    bodies, movers = [rig], []
+    for number, (part, own) in enumerate(zip(parts, rng.spawn(len(parts)), strict=True), start=1):
+        size = SIZES[part.kind]
+        mean = float(own.uniform(*scene.light.paint)) if part.grey is None else part.grey
+        cell_m = 0.3 if part.kind == "walker" else 0.7
+        boxes = _boxes(part.kind, size, paint(mean, scene.light, texture_seed(own), cell_m))
+        for shift, factor in _jitters(scene, own):
+            path = _path(part, road, rig_speed, shift, factor, int(times[0]), duration_s)
+            body = Outline.along(path, times, size)
+            if not any(touching(body, other, CLEARANCE_M).any() for other in bodies):
+                bodies.append(body)
+                movers.append(Mover(number, CATEGORIES[part.kind], size, boxes, path))
+                break
+        else:
+            if not leave_out:
+                raise InputError(_collision(scene, number, body, bodies, times))
+    return tuple(movers)
+
+
+def _jitters(scene: SceneFile, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Shifts in m and factors on the speed, ever smaller, the last one none."""
+    freedom = 0.6 ** np.arange(_DRAWS)
+    shift = scene.jitter.start_m * freedom * rng.uniform(-1.0, 1.0, _DRAWS)
+    factor = 1.0 + scene.jitter.speed * freedom * rng.uniform(-1.0, 1.0, _DRAWS)
+    return [*zip(shift.tolist(), factor.tolist(), strict=True), (0.0, 1.0)]
+
+
+def _path(
+    part: AlongPart | AcrossPart, road: Road, rig_speed: SmoothSteps,
+    shift: float, factor: float, origin_ns: int, duration_s: float,
+) -> PoseSpline:  # fmt: skip
+    if part.speed is not None:
+        speed = SmoothSteps.make(*part.speed)
+    else:
+        speed = SmoothSteps(rig_speed.knots - part.ahead_s, rig_speed.values)
+    speed = SmoothSteps(speed.knots, factor * speed.values)
+    if isinstance(part, AlongPart):
+        start_m = part.start_m + (-shift if part.oncoming else shift)
+        return traffic_path(
+            road, speed, origin_ns, duration_s,
+            start_m=start_m, offset_m=part.offset_m, oncoming=part.oncoming,
+        )  # fmt: skip
+    xy, along = road.at(np.array(part.at_m), part.from_offset_m)
+    yaw = float(along) + np.radians(part.heading_deg)
+    start = (float(xy[0] + shift * np.cos(yaw)), float(xy[1] + shift * np.sin(yaw)))
+    return straight_path(start, float(yaw), speed, origin_ns, duration_s)
+
+
+def _collision(
+    scene: SceneFile, number: int, body: Outline, others: list[Outline], times: IntArray
+) -> str:
+    hits = [touching(body, other, CLEARANCE_M) for other in others]
+    which = next(i for i, hit in enumerate(hits) if hit.any())
+    seconds = 1e-9 * float(times[int(np.argmax(hits[which]))] - times[0])
+    along = len(scene.along)
+    name = f"along.{number - 1}" if number <= along else f"across.{number - 1 - along}"
+    other = "the rig" if which == 0 else "another mover"
+    return f"scene: mover {name} touches {other} at {seconds:.1f} s; change its start or speed"
+
+
+def _boxes(kind: str, size: FloatArray, look: Texture) -> tuple[Box, ...]:
+    shapes: dict[str, Callable[[FloatArray, Texture], tuple[Box, ...]]] = {
+        "car": car_boxes, "van": _van_boxes, "truck": _truck_boxes, "walker": walker_boxes,
+    }  # fmt: skip
+    return shapes[kind](size, look)
+
+
+def _van_boxes(size: FloatArray, look: Texture) -> tuple[Box, ...]:
+    """A tall body behind a low bonnet."""
+    length, width, height = (float(x) for x in size)
+    floor, waist, bonnet = 0.1 * height, 0.55 * height, 0.18 * length
+    dark = Texture(0.7 * look.mean, look.contrast, look.cell_m, look.seed + 1)
+    return (
+        box_at(
+            (-0.5 * bonnet, 0.0, 0.5 * (floor + height)),
+            (length - bonnet, width, height - floor), look,
+        ),
+        box_at(
+            (0.5 * (length - bonnet), 0.0, 0.5 * (floor + waist)),
+            (bonnet, 0.96 * width, waist - floor), dark,
+        ),
+    )  # fmt: skip
+
+
+def _truck_boxes(size: FloatArray, look: Texture) -> tuple[Box, ...]:
+    """A cargo box above a frame, and a cab before it."""
+    length, width, height = (float(x) for x in size)
+    cab, gap, deck = 0.24 * length, 0.03 * length, 0.3 * height
+    dark = Texture(0.5 * look.mean, look.contrast, look.cell_m, look.seed + 1)
+    paint_cab = Texture(0.8 * look.mean, look.contrast, look.cell_m, look.seed + 2)
+    cargo = length - cab - gap
+    return (
+        box_at(
+            (-0.5 * (length - cargo), 0.0, 0.5 * (deck + height)), (cargo, width, height - deck),
+            look,
+        ),
+        box_at((-0.5 * cab, 0.0, 0.65 * deck), (length - cab, 0.8 * width, 0.7 * deck), dark),
+        box_at(
+            (0.5 * (length - cab), 0.0, 0.45 * height), (cab, 0.95 * width, 0.72 * height),
+            paint_cab,
+        ),
+    )  # fmt: skip
+
+
+def carrier_outline(
+    path: PoseSpline, T_vehicle_imu: FloatArray, times: IntArray, size: FloatArray
+) -> Outline:
+    """The outline of a rig's carrier (length, width, ...), whose frame is the vehicle's."""
+    T = path.pose(times) @ se3.inverse(T_vehicle_imu)
+    return Outline(
+        T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0]), float(size[0]), float(size[1])
+    )
