@@ -200,6 +200,4 @@ def carrier_outline(
 ) -> Outline:
     """The outline of a rig's carrier (length, width, ...), whose frame is the vehicle's."""
     T = path.pose(times) @ se3.inverse(T_vehicle_imu)
-    return Outline(
-        T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0]), float(size[0]), float(size[1])
-    )
+    return Outline(T[:, :2, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0]), float(size[0]), float(size[1]))
