@@ -8,7 +8,8 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.sim.scenes import demo_simulation, street_rig
+from ovmot.sim.rigs import street_rig
+from ovmot.sim.scenes import demo_simulation
 from ovmot.sim.simulation import Simulation
 
 

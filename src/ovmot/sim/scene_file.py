@@ -6,6 +6,7 @@ first frame, and knots are pairs [place, value] with smooth steps between them (
 """
 
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -25,7 +26,7 @@ Knots = tuple[tuple[float, float], ...]
 
 def _rising(knots: Knots) -> Knots:
     places = [place for place, _ in knots]
-    if not knots or any(b <= a for a, b in zip(places, places[1:], strict=False)):
+    if not knots or any(b <= a for a, b in pairwise(places)):
         raise ValueError("the first numbers of the knots must rise")
     return knots
 

@@ -1,143 +1,120 @@
-"""Ready-made simulations: a street that a rig drives through, with traffic."""
+"""Simulations made of scene files: `make_simulation`."""
+
+from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.camera import Camera
-from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3, so3
-from ovmot.sim.paths import drive_path, straight_path, traffic_path
+from ovmot.errors import InputError
+from ovmot.sim.imu_errors import NO_ERRORS, ImuErrors
 from ovmot.sim.profiles import Road, SmoothSteps
-from ovmot.sim.scene import Box, Mover, Scene, Texture, box_at, car_boxes, walker_boxes
+from ovmot.sim.rides import Ride, RideMaker, planned, random_drive, recorded, standing, walk
+from ovmot.sim.rigs import named_rig, resized
+from ovmot.sim.scene import Scene
+from ovmot.sim.scene_file import MAX_DURATION_S, SceneFile, load_scene
 from ovmot.sim.simulation import ImuModel, Optics, Simulation
+from ovmot.sim.street import away_from, furnish, ground, sky
+from ovmot.sim.traffic import carrier_outline, check_times, make_movers
 from ovmot.types import ImuNoise
 
 ORIGIN_NS = 1_500_000_000_000_000_000
-_CAR = np.array([4.4, 1.8, 1.45])
-_WALKER = np.array([0.4, 0.6, 1.75])
-_LANE_M = 3.4
-_KERB_M = 5.6
-_FACADE_M = 9.5
+_IMU_NOISE = ImuNoise(gyro=1.7e-4, gyro_walk=2e-5, accel=2e-3, accel_walk=3e-4)
+_GYRO_BIAS_RPS, _ACCEL_BIAS_MPS2 = 3e-3, 3e-2
+_SIGHT_M = 60.0
+_LEAST_DISTANCE_M = 1.0
+_STREAM = 1
+"""Keeps the scene's random numbers apart from those of `sequence_files.generators`."""
+_RIDES: dict[str, RideMaker] = {"stand": standing, "walk": walk, "drive": random_drive}
 
 
-def street_rig() -> StereoRig:
-    """A 640x280 rig on a car: 0.475 m baseline, 5-term lenses, the right camera turned a little."""
-    R_imu_cam = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    tilt0 = so3.exp(np.array([0.007, -0.012, 0.005]))
-    turn = so3.exp(np.array([-0.0026, 0.0045, 0.0085]))
-    left = Camera.make(
-        (640, 280), (408.45, 405.78), (304.0, 131.5), "radtan",
-        [-0.0561, 0.1395, -0.0012, -0.00097, -0.0809],
-    )  # fmt: skip
-    right = Camera.make(
-        (640, 280), (406.89, 404.26), (306.7, 124.5), "radtan",
-        [-0.0549, 0.1424, 0.000075, -0.00068, -0.0857],
-    )  # fmt: skip
-    T_imu_cam0 = se3.make(R_imu_cam @ tilt0, np.array([1.71, 0.24, 0.11]))
-    T_cam0_cam1 = se3.make(turn, np.array([0.475, 0.001, -0.002]))
-    return StereoRig(left, right, T_imu_cam0, T_imu_cam0 @ T_cam0_cam1)
+def make_simulation(
+    scene: SceneFile,
+    *,
+    seed: int,
+    path: str | None = None,
+    size: tuple[int, int] | None = None,
+    rate_hz: float | None = None,
+    duration_s: float | None = None,
+) -> Simulation:
+    """The scene as one seed makes it: textures, parked cars, poles, movers, vibration, biases.
+
+    `path` says how the rig moves: None as the scene has it; "stand"; "walk", in a person's hands;
+    "drive", with random speeds and stops; else the TUM file of a recorded motion (`recorded`).
+    Movers that such a rig, or a drive longer than the scene's, would run into are left out, and so
+    is what stands nearer than 1 m to a recorded path. `size` (width, height) in pixels, `rate_hz`
+    and `duration_s` replace the scene's. Raises `InputError` for values out of range.
+    """
+    rate = scene.rate_hz if rate_hz is None else rate_hz
+    duration = scene.duration_s if duration_s is None else duration_s
+    _refuse_times(rate, duration)
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence([seed, _STREAM]).spawn(4)]
+    ride_rng, street_rng, mover_rng, imu_rng = streams
+    rig = named_rig(scene.rig)
+    if size is not None:
+        rig = resized(rig, size)
+    road = Road(SmoothSteps.make(*scene.road.curvature), scene.road.length_m)
+    make_ride = _ride_maker(path, whole=duration_s is None)
+    horizon_s = max(duration, scene.duration_s) if path is None else duration
+    ride = make_ride(rig, road, scene.drive, ORIGIN_NS, horizon_s, ride_rng)
+    if path is not None and path not in _RIDES:
+        horizon_s = duration = min(duration, 1e-9 * (ride.path.end_ns - ORIGIN_NS) - 1.0)
+    changed = path is not None or duration > scene.duration_s
+    return Simulation(
+        _scene(scene, road, ride, horizon_s, (street_rng, mover_rng), changed=changed),
+        ride.rig,
+        ride.path,
+        ORIGIN_NS + np.round(1e9 / rate * np.arange(_frames(duration, rate))).astype(np.int64),
+        ride.T_vehicle_imu,
+        _imu(scene, imu_rng),
+        Optics(noise_grey=scene.light.noise_grey),
+    )
 
 
 def demo_simulation(seed: int = 0, duration_s: float = 8.0, rate_hz: float = 10.0) -> Simulation:
-    """A street: the rig stands 1.5 s, drives behind a car round a gentle bend, stops, drives on.
+    """The catalog's `demo`."""
+    return make_simulation(load_scene("demo"), seed=seed, duration_s=duration_s, rate_hz=rate_hz)
 
-    Oncoming cars pass, a walker crosses before the standing rig; parked cars, poles and facades
-    line the road.
-    """
-    rng = np.random.default_rng(seed)
-    road = Road(SmoothSteps.make((0.0, 0.0), (10.0, 0.0), (20.0, 0.012), (60.0, 0.012)), 160.0)
-    speed = SmoothSteps.make((1.5, 0.0), (3.6, 6.5), (4.4, 6.5), (6.0, 0.0), (6.7, 0.0), (9.0, 6.0))
-    T_vehicle_imu = se3.make(np.eye(3), np.array([-0.07, 0.0, 1.7]))
-    path = drive_path(
-        road, speed, ORIGIN_NS, duration_s, rng,
-        T_vehicle_body=T_vehicle_imu, start_m=5.0, offset_m=-0.5 * _LANE_M,
+
+def _ride_maker(path: str | None, *, whole: bool) -> RideMaker:
+    if path is None:
+        return planned
+    return _RIDES[path] if path in _RIDES else recorded(Path(path), whole=whole)
+
+
+def _frames(duration_s: float, rate_hz: float) -> int:
+    return max(round(duration_s * rate_hz), 1)
+
+
+def _refuse_times(rate_hz: float, duration_s: float) -> None:
+    if not 0.0 < duration_s <= MAX_DURATION_S:
+        problem = f"a simulation of {duration_s:g} s"
+        raise InputError(f"{problem}; choose more than 0 and at most {MAX_DURATION_S:g} s")
+    if not 1.0 <= rate_hz <= 100.0:
+        raise InputError(f"{rate_hz:g} frames per second; choose 1 to 100")
+
+
+def _scene(
+    scene: SceneFile, road: Road, ride: Ride, horizon_s: float,
+    rngs: tuple[np.random.Generator, np.random.Generator], *, changed: bool,
+) -> Scene:  # fmt: skip
+    light = scene.light
+    look_rng, street_rng = rngs[0].spawn(2)
+    driven_m = float(ride.speed.integral(np.array(horizon_s)) - ride.speed.integral(np.zeros(())))
+    reach_m = max(road.length_m, scene.drive.start_m + driven_m + _SIGHT_M)
+    times = check_times(ORIGIN_NS, horizon_s)
+    carrier = carrier_outline(ride.path, ride.T_vehicle_imu, times, ride.carrier_size)
+    movers = make_movers(
+        scene, road, ride.speed, carrier, times, rngs[1], leave_out=changed
     )  # fmt: skip
-    count = round(duration_s * rate_hz)
-    scene = Scene(
-        boxes=(*_facades(road, rng), *_parked_cars(road, rng), *_poles(road, rng)),
-        movers=_demo_traffic(road, duration_s),
-        ground=Texture(95.0, 22.0, 3.0, seed=11, softness=0.15),
-        sky=Texture(205.0, 10.0, 1.0, seed=12, softness=1.0, octaves=3),
-        sun=np.array([-0.3, 0.5, 0.8]),
-    )
-    return Simulation(
-        scene, street_rig(), path,
-        ORIGIN_NS + np.round(1e9 / rate_hz * np.arange(count)).astype(np.int64),
-        T_vehicle_imu,
-        ImuModel(
-            100.0, ImuNoise(1.7e-4, 2e-5, 2e-3, 3e-4),
-            rng.normal(0.0, 3e-3, 3), rng.normal(0.0, 3e-2, 3),
-        ),
-        Optics(noise_grey=2.0),
+    boxes = furnish(road, scene.street, light, reach_m, street_rng)
+    return Scene(
+        away_from(boxes, ride.path, _LEAST_DISTANCE_M),
+        movers, ground(light, look_rng), sky(light, look_rng), np.array(light.sun),
     )  # fmt: skip
 
 
-def _demo_traffic(road: Road, duration_s: float) -> tuple[Mover, ...]:
-    """A lead car that also stops, two oncoming cars, and a walker across the road."""
-    lane = 0.5 * _LANE_M
-
-    def car(number: int, grey: float, speed: SmoothSteps, start: float, oncoming: bool) -> Mover:
-        path = traffic_path(
-            road, speed, ORIGIN_NS, duration_s,
-            start_m=start, offset_m=lane if oncoming else -lane, oncoming=oncoming,
-        )  # fmt: skip
-        return Mover(number, "car", _CAR, car_boxes(_CAR, _paint(grey, 100 * number)), path)
-
-    lead = SmoothSteps.make((1.0, 0.0), (3.2, 7.0), (4.5, 7.0), (6.0, 1.5), (8.0, 6.5))
-    at, yaw = road.at(np.array(32.0), -4.3)
-    walker = straight_path(
-        (float(at[0]), float(at[1])), float(yaw) + 0.5 * np.pi,
-        SmoothSteps.make((3.7, 0.0), (4.2, 1.5)), ORIGIN_NS, duration_s,
+def _imu(scene: SceneFile, rng: np.random.Generator) -> ImuModel:
+    return ImuModel(
+        scene.imu.rate_hz, _IMU_NOISE,
+        rng.normal(0.0, _GYRO_BIAS_RPS, 3), rng.normal(0.0, _ACCEL_BIAS_MPS2, 3),
+        ImuErrors.random(rng) if scene.imu.errors else NO_ERRORS,
     )  # fmt: skip
-    return (
-        car(1, 165.0, lead, 19.0, False),
-        car(2, 90.0, SmoothSteps.make((0.0, 7.0)), 62.0, True),
-        car(3, 140.0, SmoothSteps.make((0.0, 8.0)), 85.0, True),
-        Mover(4, "pedestrian", _WALKER, walker_boxes(_WALKER, _paint(150.0, 400, 0.3)), walker),
-    )
-
-
-def _paint(mean: float, seed: int, cell_m: float = 0.7) -> Texture:
-    return Texture(mean, 42.0, cell_m, seed)
-
-
-def _along(road: Road, arc: float, offset: float) -> tuple[float, float, float]:
-    xy, yaw = road.at(np.array(arc), offset)
-    return float(xy[0]), float(xy[1]), float(yaw)
-
-
-def _facades(road: Road, rng: np.random.Generator) -> list[Box]:
-    """Houses wall to wall on both sides, each of its own depth, height and grey."""
-    boxes = []
-    for side in (-1.0, 1.0):
-        arc = -15.0
-        while arc < road.length_m + 40.0:
-            width, height, back = rng.uniform(7.0, 13.0), rng.uniform(6.0, 14.0), rng.uniform(0, 2)
-            x, y, yaw = _along(road, arc + 0.5 * width, side * (_FACADE_M + back + 4.0))
-            texture = Texture(rng.uniform(95, 165), 38.0, 2.4, int(rng.integers(1 << 30)))
-            boxes.append(box_at((x, y, 0.5 * height), (width, 8.0, height), texture, yaw))
-            arc += width + rng.uniform(0.0, 1.5)
-    return boxes
-
-
-def _parked_cars(road: Road, rng: np.random.Generator) -> list[Box]:
-    boxes: list[Box] = []
-    for side in (-1.0, 1.0):
-        for arc in np.arange(14.0, road.length_m, 17.0) + rng.uniform(-4.0, 4.0):
-            x, y, yaw = _along(road, float(arc), side * _KERB_M)
-            T_world_car = box_at((x, y, 0.0), (1.0, 1.0, 1.0), _paint(0.0, 0), yaw).T_body_box
-            paint = _paint(rng.uniform(80, 170), int(rng.integers(1 << 30)))
-            boxes += [
-                Box(T_world_car @ part.T_body_box, part.size, part.texture)
-                for part in car_boxes(_CAR, paint)
-            ]
-    return boxes
-
-
-def _poles(road: Road, rng: np.random.Generator) -> list[Box]:
-    boxes = []
-    for side in (-1.0, 1.0):
-        for arc in np.arange(8.0, road.length_m, 23.0) + rng.uniform(-5.0, 5.0):
-            x, y, yaw = _along(road, float(arc), side * (_KERB_M + 1.8))
-            texture = Texture(rng.uniform(60, 130), 30.0, 0.5, int(rng.integers(1 << 30)))
-            boxes.append(box_at((x, y, 2.5), (0.18, 0.18, 5.0), texture, yaw))
-    return boxes

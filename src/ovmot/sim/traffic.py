@@ -1,10 +1,10 @@
 """The movers of a scene: their shapes, their ways, and that none of them touches another.
 
-A seed shifts and slows or hurries each mover. It is drawn again, with less freedom each time,
-until the mover's outline on the ground stays clear of the rig's and of all movers before it.
+A seed shifts and slows or hurries each mover. It is drawn again, and with less freedom, until the
+mover's outline on the ground stays clear of the rig's and of all other movers'.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,8 @@ CLEARANCE_M = 0.4
 """Least gap between the outlines of two bodies."""
 _CHECK_STEP_S = 0.2
 _DRAWS = 8
+_SHARES = (1.0, 0.6, 0.3, 0.1, 0.0)
+"""Of the jitter that is tried, until nothing touches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,7 @@ def touching(a: Outline, b: Outline, gap_m: float = 0.0) -> BoolArray:
 
 def check_times(origin_ns: int, duration_s: float) -> IntArray:
     """Times (N,) at which outlines are held apart."""
-    count = int(duration_s / _CHECK_STEP_S) + 2
+    count = int(duration_s / _CHECK_STEP_S) + 1
     return origin_ns + round(1e9 * _CHECK_STEP_S) * np.arange(count, dtype=np.int64)
 
 
@@ -85,70 +87,109 @@ def make_movers(
 ) -> tuple[Mover, ...]:
     """The scene's movers; `rig` is the outline of what carries the cameras at `times` (N,).
 
-    A mover that would touch the rig or another one even without jitter is left out with
-    `leave_out`, for a rig that does not drive as the scene's author thought; else it raises
-    `InputError`.
+    With `leave_out`, for a rig that does not drive as the scene's author thought, a mover that
+    finds no free way is left out; without, it raises `InputError` where even the scene without
+    jitter has movers that touch.
     """
-    duration_s = 1e-9 * float(times[-1] - times[0])
+    way = _Way(road, rig_speed, times)
     parts: list[AlongPart | AcrossPart] = [*scene.along, *scene.across]
-    bodies, movers = [rig], []
-    for number, (part, own) in enumerate(zip(parts, rng.spawn(len(parts)), strict=True), start=1):
-        size = SIZES[part.kind]
-        mean = float(own.uniform(*scene.light.paint)) if part.grey is None else part.grey
-        cell_m = 0.3 if part.kind == "walker" else 0.7
-        boxes = _boxes(part.kind, size, paint(mean, scene.light, texture_seed(own), cell_m))
-        for shift, factor in _jitters(scene, own):
-            path = _path(part, road, rig_speed, shift, factor, int(times[0]), duration_s)
-            body = Outline.along(path, times, size)
+    looks = [
+        _look(scene, part, own) for part, own in zip(parts, rng.spawn(len(parts)), strict=True)
+    ]
+    draws = rng.uniform(-1.0, 1.0, (len(parts), _DRAWS, 2))
+    for share in _SHARES:
+        jitter = share * draws * (scene.jitter.start_m, scene.jitter.speed)
+        placed, blocked = _place(parts, jitter, way, rig)
+        if leave_out or not blocked:
+            break
+    if blocked and not leave_out:
+        raise InputError(_collision(scene, blocked[0], way, rig, placed))
+    return tuple(
+        Mover(i + 1, CATEGORIES[parts[i].kind], SIZES[parts[i].kind], looks[i], path)
+        for i, path in placed.items()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """What all movers' paths depend on."""
+
+    road: Road
+    rig_speed: SmoothSteps
+    times: IntArray
+
+    def path(self, part: AlongPart | AcrossPart, shift_m: float, share: float) -> PoseSpline:
+        """The part's path, begun `shift_m` farther on, its speed changed by a share."""
+        duration_s = 1e-9 * float(self.times[-1] - self.times[0]) + _CHECK_STEP_S
+        speed = _speed(part, self.rig_speed, 1.0 + share)
+        return _path(part, self.road, speed, shift_m, int(self.times[0]), duration_s)
+
+
+def _place(
+    parts: Sequence[AlongPart | AcrossPart], jitter: FloatArray, way: _Way, rig: Outline
+) -> tuple[dict[int, PoseSpline], list[int]]:
+    """Paths by the parts' numbers, and the parts that found none; `jitter` is (M, draws, 2)."""
+    bodies: list[Outline] = [rig]
+    placed: dict[int, PoseSpline] = {}
+    for i, part in enumerate(parts):
+        for shift_m, share in jitter[i]:
+            path = way.path(part, float(shift_m), float(share))
+            body = Outline.along(path, way.times, SIZES[part.kind])
             if not any(touching(body, other, CLEARANCE_M).any() for other in bodies):
                 bodies.append(body)
-                movers.append(Mover(number, CATEGORIES[part.kind], size, boxes, path))
+                placed[i] = path
                 break
-        else:
-            if not leave_out:
-                raise InputError(_collision(scene, number, body, bodies, times))
-    return tuple(movers)
+    return placed, [i for i in range(len(parts)) if i not in placed]
 
 
-def _jitters(scene: SceneFile, rng: np.random.Generator) -> list[tuple[float, float]]:
-    """Shifts in m and factors on the speed, ever smaller, the last one none."""
-    freedom = 0.6 ** np.arange(_DRAWS)
-    shift = scene.jitter.start_m * freedom * rng.uniform(-1.0, 1.0, _DRAWS)
-    factor = 1.0 + scene.jitter.speed * freedom * rng.uniform(-1.0, 1.0, _DRAWS)
-    return [*zip(shift.tolist(), factor.tolist(), strict=True), (0.0, 1.0)]
+def _look(
+    scene: SceneFile, part: AlongPart | AcrossPart, rng: np.random.Generator
+) -> tuple[Box, ...]:
+    mean = float(rng.uniform(*scene.light.paint)) if part.grey is None else part.grey
+    cell_m = 0.3 if part.kind == "walker" else 0.7
+    return _boxes(part.kind, SIZES[part.kind], paint(mean, scene.light, texture_seed(rng), cell_m))
 
 
-def _path(
-    part: AlongPart | AcrossPart, road: Road, rig_speed: SmoothSteps,
-    shift: float, factor: float, origin_ns: int, duration_s: float,
-) -> PoseSpline:  # fmt: skip
+def _speed(part: AlongPart | AcrossPart, rig_speed: SmoothSteps, factor: float) -> SmoothSteps:
     if part.speed is not None:
         speed = SmoothSteps.make(*part.speed)
     else:
         speed = SmoothSteps(rig_speed.knots - part.ahead_s, rig_speed.values)
-    speed = SmoothSteps(speed.knots, factor * speed.values)
+    return SmoothSteps(speed.knots, factor * speed.values)
+
+
+def _path(
+    part: AlongPart | AcrossPart, road: Road, speed: SmoothSteps, shift_m: float, origin_ns: int,
+    duration_s: float,
+) -> PoseSpline:  # fmt: skip
     if isinstance(part, AlongPart):
-        start_m = part.start_m + (-shift if part.oncoming else shift)
+        start_m = part.start_m + (-shift_m if part.oncoming else shift_m)
         return traffic_path(
             road, speed, origin_ns, duration_s,
             start_m=start_m, offset_m=part.offset_m, oncoming=part.oncoming,
         )  # fmt: skip
     xy, along = road.at(np.array(part.at_m), part.from_offset_m)
-    yaw = float(along) + np.radians(part.heading_deg)
-    start = (float(xy[0] + shift * np.cos(yaw)), float(xy[1] + shift * np.sin(yaw)))
-    return straight_path(start, float(yaw), speed, origin_ns, duration_s)
+    yaw = float(along + np.radians(part.heading_deg))
+    start = (float(xy[0] + shift_m * np.cos(yaw)), float(xy[1] + shift_m * np.sin(yaw)))
+    return straight_path(start, yaw, speed, origin_ns, duration_s)
 
 
 def _collision(
-    scene: SceneFile, number: int, body: Outline, others: list[Outline], times: IntArray
+    scene: SceneFile, blocked: int, way: _Way, rig: Outline, placed: dict[int, PoseSpline]
 ) -> str:
-    hits = [touching(body, other, CLEARANCE_M) for other in others]
-    which = next(i for i, hit in enumerate(hits) if hit.any())
-    seconds = 1e-9 * float(times[int(np.argmax(hits[which]))] - times[0])
-    along = len(scene.along)
-    name = f"along.{number - 1}" if number <= along else f"across.{number - 1 - along}"
-    other = "the rig" if which == 0 else "another mover"
-    return f"scene: mover {name} touches {other} at {seconds:.1f} s; change its start or speed"
+    parts: list[AlongPart | AcrossPart] = [*scene.along, *scene.across]
+    names = [f"along.{i}" for i in range(len(scene.along))]
+    names += [f"across.{i}" for i in range(len(scene.across))]
+
+    def outline(i: int, path: PoseSpline) -> Outline:
+        return Outline.along(path, way.times, SIZES[parts[i].kind])
+
+    body = outline(blocked, way.path(parts[blocked], 0.0, 0.0))
+    others = {"the rig": rig, **{names[i]: outline(i, path) for i, path in placed.items()}}
+    hits = {name: touching(body, other, CLEARANCE_M) for name, other in others.items()}
+    name = next(name for name, hit in hits.items() if hit.any())
+    seconds = 1e-9 * float(way.times[int(np.argmax(hits[name]))] - way.times[0])
+    return f"scene: {names[blocked]} touches {name} at {seconds:.1f} s; change its start or speed"
 
 
 def _boxes(kind: str, size: FloatArray, look: Texture) -> tuple[Box, ...]:
