@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Work = Callable[[Job], Outcome]
-_CONNECT_S = 10
 
 
 class Executor(Protocol):
@@ -55,7 +54,8 @@ class LocalProcesses:
             try:
                 while waiting or under_way:
                     while waiting and len(under_way) < self._workers:
-                        under_way[pool.submit(work, waiting[0])] = waiting.pop(0)
+                        under_way[pool.submit(work, waiting[0])] = waiting[0]
+                        del waiting[0]
                     for done in wait(under_way, return_when=FIRST_COMPLETED).done:
                         try:
                             outcome = done.result()
@@ -92,9 +92,10 @@ class DaskCluster:
     Dask itself moves the jobs of a dead worker to another one, some times; `retries` come on top.
     """
 
-    def __init__(self, address: str, retries: int = 2) -> None:
+    def __init__(self, address: str, retries: int = 2, timeout_s: float = 10.0) -> None:
         self._address = address
         self._retries = retries
+        self._timeout_s = timeout_s
 
     def __call__(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
         """Outcomes in the order in which they come; raises `InputError` without a cluster."""
@@ -125,7 +126,7 @@ class DaskCluster:
             problem = "a Dask cluster needs the package distributed"
             raise InputError(f"--cluster: {problem}; pip install 'ovmot[cluster]'") from None
         try:
-            return Client(self._address, timeout=_CONNECT_S, set_as_default=False)
+            return Client(self._address, timeout=self._timeout_s, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(
                 f"--cluster {self._address}: no scheduler answers there; start one with"
