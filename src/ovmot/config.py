@@ -220,7 +220,7 @@ def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
         return Settings.model_validate(data)
     except ValidationError as error:
         sources = ([] if path is None else [str(path)]) + [f"--set {text}" for text in overrides]
-        raise InputError(f"{', '.join(sources)}: {'; '.join(_plain_messages(error))}") from None
+        raise InputError(f"{', '.join(sources)}: {'; '.join(plain_messages(error))}") from None
 
 
 def describe_settings() -> Iterator[tuple[str, str, str, str]]:
@@ -285,10 +285,13 @@ def _apply_override(data: dict[str, Any], text: str) -> None:
     data[section] = {**keys, name: parsed}
 
 
-def _plain_messages(error: ValidationError) -> Iterator[str]:
+def plain_messages(
+    error: ValidationError, remedy: str = "list them with 'ovmot settings'"
+) -> Iterator[str]:
+    """One line for each mistake: the key, what is wrong, what was given."""
     for item in error.errors():
         place = ".".join(str(part) for part in item["loc"])
         if item["type"] == "extra_forbidden":
-            yield f"unknown setting '{place}' (list them with 'ovmot settings')"
+            yield f"unknown setting '{place}' ({remedy})"
         else:
             yield f"'{place}': {item['msg']}, got {item.get('input')!r}"
