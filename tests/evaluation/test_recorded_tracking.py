@@ -15,14 +15,13 @@ from ovmot.evaluation.ego_truth import read_ego_truth
 from ovmot.evaluation.matching import (
     ComparedFrame,
     ObjectCriteria,
-    box_distances,
     compare_frames,
     tracking_sequence,
 )
 from ovmot.evaluation.object_files import Tracks
 from ovmot.evaluation.object_truth import ObjectTruth, TrueObjects, read_object_truth
 from ovmot.evaluation.tracking import TrackingSequence, clear_mot, hota, identity
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray
 
 RECORDED = Path(__file__).parent / "data" / "recorded_tracking.json"
 CRITERIA = ObjectCriteria()
@@ -149,28 +148,3 @@ def test_equal_to_trackeval_on_rendered_streets(data_root: Path, name: str, seed
     tracks = tracks_of(objects_of(data), np.random.default_rng(seed))
     sequence = tracking_sequence(compare(data, tracks), CRITERIA.gate_m)
     assert_same_figures(our_figures(sequence), figures_of_trackeval(sequence))
-
-
-def test_what_need_not_be_found_changes_nothing(data_root: Path) -> None:
-    """Tracks that keep to parked or hidden objects leave every figure as it is."""
-    data = data_root / "street_traffic"
-    tracks = tracks_of(objects_of(data), np.random.default_rng(7))
-    tracks = tracks.rows(tracks.track_id < 1000)  # two tracks in one box are a tie
-    frames = compare(data, tracks)
-    more = [_rows(f.objects, 5000 + f.objects.object_id[i], f.objects.center[i])
-            for f in frames for i in [lonely(f)]]  # fmt: skip
-    assert sum(len(rows[1]) for rows in more) > 100
-    fields = zip(*([getattr(tracks, name) for name in Tracks.__slots__], *more), strict=True)
-    again = compare(data, Tracks(*(np.concatenate(column) for column in fields)))
-    assert_same_figures(
-        our_figures(tracking_sequence(again, CRITERIA.gate_m)),
-        our_figures(tracking_sequence(frames, CRITERIA.gate_m)),
-    )
-
-
-def lonely(frame: ComparedFrame) -> IntArray:
-    """Objects that need not be found, with no track and no other object within the gate."""
-    apart = box_distances(frame.objects.center, frame.objects)
-    np.fill_diagonal(apart, np.inf)
-    far = np.all(frame.distance > CRITERIA.gate_m, axis=1) & np.all(apart > CRITERIA.gate_m, axis=0)
-    return np.flatnonzero(far & ~frame.needed)

@@ -105,7 +105,7 @@ class DaskCluster:
         with client:
             job_of = {client.submit(work, job, pure=False): job for job in jobs}
             tries: Counter[str] = Counter()
-            queue = as_completed(job_of)
+            queue = as_completed(job_of, loop=client.loop)
             for done in queue:
                 job = job_of.pop(done)
                 error = done.exception()

@@ -83,7 +83,7 @@ def render_exposure(
     if len(pictures) == 1:
         return pictures[0]
     grey = np.mean([picture.grey for picture in pictures], axis=0, dtype=np.float32)
-    return replace(pictures[len(pictures) // 2], grey=grey)
+    return replace(pictures[len(pictures) // 2], grey=np.asarray(grey))
 
 
 def expose(picture: Picture, optics: Optics, gain: float, rng: np.random.Generator) -> Image:
