@@ -9,16 +9,34 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.table import Column, Table
 from rich.text import Text
 
 import ovmot
+from ovmot.batch.batch import run_batch
+from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
+from ovmot.batch.plan import read_plan
+from ovmot.batch.summary import summary_tables
+from ovmot.batch.work import work
 from ovmot.config import describe_settings, load_settings
 from ovmot.datasets.registry import READERS, open_sequence
 from ovmot.errors import InputError, OvmotError
+from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
 from ovmot.run import RunOptions, run_sequence
 from ovmot.runtime import prepare_process
+from ovmot.sim.scene_file import SCENES, load_scene
+from ovmot.sim.scenes import make_simulation
+from ovmot.sim.writers import WRITERS
 
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 
@@ -113,6 +131,102 @@ def run(
 
 
 @app.command()
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder to write into: new or empty.")],
+    scene: Annotated[
+        str, typer.Option(help=f"A scene ({', '.join(SCENES)}) or a YAML file of one.")
+    ] = "traffic",
+    path: Annotated[
+        str | None,
+        typer.Option(
+            help="The rig's path: stand, walk, drive, or a TUM file; else the scene's own."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
+    format: Annotated[str, typer.Option(help=f"Layout: {', '.join(WRITERS)}.")] = "kaist",
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Image size; else the scene's.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Stereo frames a second; else the scene's.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Length; else the scene's.")
+    ] = None,
+) -> None:
+    """Render a street as a recorded sequence, with the truth beside it."""
+    prepare_process()
+    write = WRITERS.get(format)
+    if write is None:
+        raise InputError(f"--format {format}: unknown; choose one of {', '.join(WRITERS)}")
+    simulation = make_simulation(
+        load_scene(scene), seed=seed, path=path, size=_size(size), rate_hz=rate, duration_s=duration
+    )
+    total = len(simulation.camera_ns)
+    with (
+        _interruptible(f"{out} holds an unfinished sequence: delete it"),
+        _progress("simulate", total) as advance,
+    ):
+        for done, _ in enumerate(write(out, simulation, seed), start=1):
+            advance(done)
+    typer.echo(f"{total} frames -> {out}")
+
+
+@app.command()
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    truth: Annotated[
+        Path, typer.Option("--truth", help="The sequence with its truth, or a TUM file.")
+    ],
+    plots: Annotated[bool, typer.Option(help="Draw plots beside metrics.json.")] = True,
+) -> None:
+    """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
+    evaluation = evaluate_run(run, truth)
+    write_metrics(run, evaluation)
+    if plots:
+        write_plots(run, evaluation)
+    Console().print(metrics_table(evaluation))
+
+
+@app.command()
+def batch(
+    plan: Annotated[Path, typer.Argument(help="YAML file: sequences, settings, seeds.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into, or to go on in.")],
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Local processes; else one a core.")
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, in place of local processes."),
+    ] = None,
+    retries: Annotated[
+        int, typer.Option(min=0, help="How often a run whose worker died is tried again.")
+    ] = 2,
+    monte_carlo: Annotated[
+        int | None, typer.Option(min=2, metavar="N", help="Seeds 0 to N-1, and the consistency.")
+    ] = None,
+) -> None:
+    """Run sequences x settings x seeds and add up their metrics; goes on where it stopped."""
+    if cluster is not None and workers is not None:
+        raise InputError("--workers counts local processes: leave it out with --cluster")
+    execute: Executor = (
+        LocalProcesses(workers, retries) if cluster is None else DaskCluster(cluster, retries)
+    )
+    todo = read_plan(plan)
+    with (
+        _interruptible(f"finished runs stay in {out}; the same command goes on"),
+        _stages() as advance,
+    ):
+        summary = run_batch(todo, out, execute, work, monte_carlo=monte_carlo, on_progress=advance)
+    for table in summary_tables(summary, todo.metrics):
+        Console().print(table)
+    for name, failure in summary.failures.items():
+        _say(f"ovmot: {name}: {failure}")
+    if summary.failures:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
 def settings() -> None:
     """List every setting with its type, default and meaning."""
     console = Console()
@@ -135,6 +249,15 @@ def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:
     return path
 
 
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise InputError(f"--size {text}: is no size; write WIDTHxHEIGHT, as in 640x280")
+    return int(width), int(height)
+
+
 @contextmanager
 def _interruptible(what_is_left: str) -> Iterator[None]:
     """Say what Ctrl-C leaves and exit; here, since Typer would swallow it without a word."""
@@ -154,17 +277,31 @@ class _FramesPerSecond(ProgressColumn):
 
 @contextmanager
 def _progress(task_name: str, total: int) -> Iterator[Callable[[int], None]]:
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        _FramesPerSecond(),
-    )
-    # into a file, a bar would only be a broken line before the messages
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    """A bar of frames, with their rate."""
+    with _bar(_FramesPerSecond()) as bar:
         task = bar.add_task(task_name, total=total)
         yield lambda done: bar.update(task, completed=done)
+
+
+@contextmanager
+def _stages() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar for each stage (name, how many are done, of how many)."""
+    with _bar(TimeElapsedColumn()) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def advance(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=total)
+            bar.update(tasks[name], completed=done, total=total)
+
+        yield advance
+
+
+def _bar(last_column: ProgressColumn) -> Progress:
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), last_column)
+    # into a file, a bar would only be a broken line before the messages
+    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 def _say(line: str) -> None:

@@ -5,6 +5,7 @@ Both go on when a worker dies: what it had finished stays, and the job it was at
 
 import multiprocessing
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -68,6 +69,10 @@ class LocalProcesses:
                         yield outcome
             except BrokenProcessPool:  # between two jobs: nothing was lost but those under way
                 suspects.extend(under_way.values())
+            except (KeyboardInterrupt, GeneratorExit):  # what is under way would hold us up
+                for process in multiprocessing.active_children():
+                    process.terminate()
+                raise
             finally:
                 pool.shutdown(cancel_futures=True)
 
@@ -83,7 +88,8 @@ class LocalProcesses:
         return Outcome(job.name, f"its process died {self._retries + 1} times")
 
     def _new_pool(self, workers: int) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(workers, context, initializer=_end_without_words)
 
 
 class DaskCluster:
@@ -132,6 +138,11 @@ class DaskCluster:
                 f"--cluster {self._address}: no scheduler answers there; start one with"
                 f" 'dask scheduler' ({type(error).__name__})"
             ) from None
+
+
+def _end_without_words() -> None:
+    """Ctrl-C reaches every process of a terminal; only the first one is to speak."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def unexpected(job: Job, error: BaseException) -> Outcome:
