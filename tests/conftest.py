@@ -5,18 +5,54 @@ import ovmot  # noqa: F401 - before NumPy, so that BLAS runs one thread, as it d
 
 # isort: on
 import os
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from ovmot import cli
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.types import StereoFrame
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def complaint(self) -> str:
+        """The one line that says what is wrong; nothing else may stand there."""
+        lines = self.err.splitlines()
+        assert len(lines) == 1, self.err
+        return lines[0]
+
+
+@pytest.fixture
+def ovmot_command(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Outcome]:
+    """Runs `ovmot` with these arguments in this process."""
+
+    def command(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["ovmot", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        captured = capfd.readouterr()
+        code = ended.value.code
+        return Outcome(code if isinstance(code, int) else int(code is not None), *captured)
+
+    return command
 
 
 @pytest.fixture(scope="session")

@@ -7,14 +7,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import ovmot
-from ovmot import cli
 from ovmot.config import describe_settings
 from ovmot.errors import OvmotError
 from ovmot.formats import ns_to_seconds
@@ -30,40 +29,7 @@ FAST = [
 ]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def complaint(self) -> str:
-        """The one line that says what is wrong; nothing else may stand there."""
-        lines = self.err.splitlines()
-        assert len(lines) == 1, self.err
-        return lines[0]
-
-
-@pytest.fixture
-def ovmot_command(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Callable[..., Outcome]:
-    """Runs `ovmot` with these arguments in this process."""
-
-    def command(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["ovmot", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        captured = capfd.readouterr()
-        code = ended.value.code
-        return Outcome(code if isinstance(code, int) else int(code is not None), *captured)
-
-    return command
-
-
-Command = Callable[..., Outcome]
+Command = Callable[..., Any]
 
 
 def whole_rows(path: Path) -> int:
@@ -118,7 +84,7 @@ def test_ego_poses_from_tum_and_kitti(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--set", "tracker.max_feature=80"], "unknown setting 'tracker.max_feature'"),
+        (["--set", "tracker.max_feature=80"], "unknown key 'tracker.max_feature'"),
         (["--set", "tracker.max_features=many"], "'tracker.max_features'"),
         (["--set", "tracker.max_features"], "section.key=value"),
         (["--config", "nowhere.yaml"], "nowhere.yaml"),

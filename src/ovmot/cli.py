@@ -39,6 +39,7 @@ from ovmot.sim.scenes import make_simulation
 from ovmot.sim.writers import WRITERS
 
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
+_WIDE = 160
 
 app = typer.Typer(
     name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -96,7 +97,8 @@ def run(
     ego: Annotated[
         tuple[str, Path] | None,
         typer.Option(
-            metavar="poses FILE", help="Ego motion from a file (TUM or KITTI form), not the filter."
+            metavar="poses FILE",
+            help="Ego motion from a file (TUM, EuRoC or KITTI form), not the filter.",
         ),
     ] = None,
     save_points: Annotated[
@@ -185,7 +187,7 @@ def evaluate(
     write_metrics(run, evaluation)
     if plots:
         write_plots(run, evaluation)
-    Console().print(metrics_table(evaluation))
+    _show(metrics_table(evaluation))
 
 
 @app.command()
@@ -219,7 +221,7 @@ def batch(
     ):
         summary = run_batch(todo, out, execute, work, monte_carlo=monte_carlo, on_progress=advance)
     for table in summary_tables(summary, todo.metrics):
-        Console().print(table)
+        _show(table)
     for name, failure in summary.failures.items():
         _say(f"ovmot: {name}: {failure}")
     if summary.failures:
@@ -302,6 +304,14 @@ def _bar(last_column: ProgressColumn) -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), last_column)
     # into a file, a bar would only be a broken line before the messages
     return Progress(*columns, console=console, disable=not console.is_terminal)
+
+
+def _show(table: Table) -> None:
+    """Print a table; where nobody watches, as wide as it is."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_WIDE)
+    console.print(table)
 
 
 def _say(line: str) -> None:

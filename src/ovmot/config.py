@@ -18,7 +18,9 @@ from pydantic import (
     field_validator,
 )
 
-from ovmot.errors import InputError
+from ovmot.errors import InputError, yaml_problem
+
+SETTINGS_REMEDY = "list them with 'ovmot settings'"
 
 
 class Section(BaseModel):
@@ -220,7 +222,9 @@ def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
         return Settings.model_validate(data)
     except ValidationError as error:
         sources = ([] if path is None else [str(path)]) + [f"--set {text}" for text in overrides]
-        raise InputError(f"{', '.join(sources)}: {'; '.join(plain_messages(error))}") from None
+        raise InputError(
+            f"{', '.join(sources)}: {plain_messages(error, SETTINGS_REMEDY)}"
+        ) from None
 
 
 def describe_settings() -> Iterator[tuple[str, str, str, str]]:
@@ -262,7 +266,8 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot read the file: {error}") from None
     except yaml.YAMLError as error:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+        problem, row = yaml_problem(error)
+        raise InputError.at(path, problem, row=row) from None
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
@@ -285,13 +290,15 @@ def _apply_override(data: dict[str, Any], text: str) -> None:
     data[section] = {**keys, name: parsed}
 
 
-def plain_messages(
-    error: ValidationError, remedy: str = "list them with 'ovmot settings'"
-) -> Iterator[str]:
-    """One line for each mistake: the key, what is wrong, what was given."""
+def plain_messages(error: ValidationError, remedy: str) -> str:
+    """One line for all mistakes: each key, what is wrong, what was given."""
+    lines = []
     for item in error.errors():
         place = ".".join(str(part) for part in item["loc"])
         if item["type"] == "extra_forbidden":
-            yield f"unknown setting '{place}' ({remedy})"
+            lines.append(f"unknown key '{place}' ({remedy})")
+        elif item["type"] == "missing":
+            lines.append(f"'{place}' is missing")
         else:
-            yield f"'{place}': {item['msg']}, got {item.get('input')!r}"
+            lines.append(f"'{place}': {item['msg']}, got {item.get('input')!r}")
+    return "; ".join(lines)

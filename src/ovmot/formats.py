@@ -188,13 +188,15 @@ def column_count(path: Path, delimiter: str | None) -> int:
 
 
 def read_ego_poses(path: Path, frame_stamps_ns: IntArray) -> EgoPoses:
-    """Poses of the rig at the frames (M,) from a TUM (8 columns) or KITTI (12 columns) file.
+    """Poses of the rig at the frames (M,) from a TUM, EuRoC (`.csv`) or KITTI (12 columns) file.
 
-    TUM rows are T_world_imu; between rows at most 0.15 s apart the pose is interpolated, and
-    other frames have none. KITTI rows are T_world_cam0, one a frame, whose world has the first
+    TUM and EuRoC rows are T_world_imu; between rows at most 0.15 s apart the pose is interpolated,
+    and other frames have none. KITTI rows are T_world_cam0, one a frame, whose world has the first
     camera's axes: it is turned so that x is forward, y left and z up.
-    Raises `InputError` where the file is neither, or does not fit the frames.
+    Raises `InputError` where the file is none of these, or does not fit the frames.
     """
+    if path.suffix == ".csv":
+        return _poses_at(path, read_euroc_ground_truth(path), frame_stamps_ns)
     n_columns = column_count(path, None)
     if n_columns == 12:
         T_world_cam0 = read_kitti_poses(path)
@@ -204,9 +206,13 @@ def read_ego_poses(path: Path, frame_stamps_ns: IntArray) -> EgoPoses:
         T_turn = se3.make(R_WORLD_CAMERA_AXES, np.zeros(3))
         return EgoPoses(frame_stamps_ns, T_turn @ T_world_cam0, "cam0")
     if n_columns != 8:
-        remedy = "8 columns (TUM) or 12 (KITTI), separated by blanks, are known"
+        remedy = "8 columns (TUM) or 12 (KITTI), separated by blanks, or a .csv (EuRoC), are known"
         raise InputError.at(path, f"{n_columns} columns in the first row", remedy)
-    trajectory = read_tum(path)
+    return _poses_at(path, read_tum(path), frame_stamps_ns)
+
+
+def _poses_at(path: Path, trajectory: Trajectory, frame_stamps_ns: IntArray) -> EgoPoses:
+    """The poses of a trajectory at the frames; `InputError` where it has none of them."""
     ego = EgoPoses(frame_stamps_ns, interpolate_poses(trajectory, frame_stamps_ns), "imu")
     if not np.any(ego.known):
         span = [ns_to_seconds(int(t)) for t in trajectory.timestamp_ns[[0, -1]]]

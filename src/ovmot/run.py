@@ -203,7 +203,7 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
         raise InputError.at(
             sequence.root,
             "has no IMU",
-            "give the ego motion by --ego poses FILE (TUM or KITTI form)",
+            "give the ego motion by --ego poses FILE (TUM, EuRoC or KITTI form)",
         )
     return FilterStart(sequence.rig, imu_noise(sequence, settings), settings)
 

@@ -194,14 +194,14 @@ def test_a_killed_worker_of_a_real_cluster_loses_nothing(
     marks, out = tmp_path / "marks", tmp_path / "out"
     marks.mkdir()
     address, workers = dask_cluster(str(marks))
-    summary = run_batch(walks(8), out, DaskCluster(address), die_once_on_seed_2)
+    summary = run_batch(walks(8), out, DaskCluster(address, timeout_s=60), die_once_on_seed_2)
     assert (summary.finished, summary.failures) == (8, {})
     deadline = time.monotonic() + 10.0
     while time.monotonic() < deadline and all(w.poll() is None for w in workers):
         time.sleep(0.05)
     assert sum(w.poll() is None for w in workers) == 1
     before = times_done(out)
-    again = run_batch(walks(8), out, DaskCluster(address), die_once_on_seed_2)
+    again = run_batch(walks(8), out, DaskCluster(address, timeout_s=60), die_once_on_seed_2)
     assert again.finished == 8
     assert times_done(out) == before
 

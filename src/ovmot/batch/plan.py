@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError, field_validator, model_validator
 
-from ovmot.config import Section, Settings, plain_messages, read_yaml_mapping
+from ovmot.config import SETTINGS_REMEDY, Section, Settings, plain_messages, read_yaml_mapping
 from ovmot.errors import InputError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -147,13 +147,13 @@ def read_plan(path: Path) -> Plan:
         plan = Plan.model_validate(read_yaml_mapping(path))
     except ValidationError as error:
         problems = plain_messages(error, "see docs/batch.md for what a plan holds")
-        raise InputError(f"{path}: {'; '.join(problems)}") from None
+        raise InputError(f"{path}: {problems}") from None
     for name in plan.settings:
         try:
             plan.settings_of(name)
         except ValidationError as error:
-            problems = plain_messages(error)
-            raise InputError(f"{path}: settings {name}: {'; '.join(problems)}") from None
+            problems = plain_messages(error, SETTINGS_REMEDY)
+            raise InputError(f"{path}: settings {name}: {problems}") from None
     folder = path.resolve().parent
     located = {name: _located(entry, folder) for name, entry in plan.sequences.items()}
     return plan.model_copy(update={"sequences": located})

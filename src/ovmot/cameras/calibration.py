@@ -11,7 +11,7 @@ import yaml
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.errors import CalibrationError
+from ovmot.errors import CalibrationError, yaml_problem
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import ImuNoise
@@ -157,7 +157,8 @@ def load_calibration_yaml(path: Path) -> CalibrationNode:
     try:
         data = yaml.load(text, _Loader)  # a SafeLoader
     except yaml.YAMLError as error:
-        raise CalibrationError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+        problem, row = yaml_problem(error)
+        raise CalibrationError.at(path, problem, row=row) from None
     if not isinstance(data, dict):
         raise CalibrationError(f"{path}: holds no keys; is this a calibration file?")
     return CalibrationNode(path, "", data)

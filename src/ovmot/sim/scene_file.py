@@ -12,7 +12,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, Field, ValidationError
 
-from ovmot.config import Section, read_yaml_mapping
+from ovmot.config import Section, plain_messages, read_yaml_mapping
 from ovmot.errors import InputError
 
 CATALOG = Path(str(resources.files("ovmot.sim") / "catalog"))
@@ -207,20 +207,8 @@ def load_scene(name_or_path: str) -> SceneFile:
     try:
         scene = SceneFile.model_validate(read_yaml_mapping(path))
     except ValidationError as error:
-        raise InputError(f"{path}: {'; '.join(_messages(error))}") from None
+        problems = plain_messages(error, "see docs/simulator.md for what a scene holds")
+        raise InputError(f"{path}: {problems}") from None
     if len(scene.along) + len(scene.across) > _MOST_MOVERS:
         raise InputError.at(path, f"more than {_MOST_MOVERS} movers", "leave some out")
     return scene
-
-
-def _messages(error: ValidationError) -> list[str]:
-    lines = []
-    for item in error.errors():
-        place = ".".join(str(part) for part in item["loc"])
-        if item["type"] == "extra_forbidden":
-            lines.append(f"unknown key '{place}'")
-        elif item["type"] == "missing":
-            lines.append(f"'{place}' is missing")
-        else:
-            lines.append(f"'{place}': {item['msg']}, got {item.get('input')!r}")
-    return lines

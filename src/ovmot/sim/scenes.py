@@ -87,10 +87,10 @@ def _frames(duration_s: float, rate_hz: float) -> int:
 
 def _refuse_times(rate_hz: float, duration_s: float) -> None:
     if not 0.0 < duration_s <= MAX_DURATION_S:
-        problem = f"a simulation of {duration_s:g} s"
-        raise InputError(f"{problem}; choose more than 0 and at most {MAX_DURATION_S:g} s")
+        remedy = f"choose more than 0 and at most {MAX_DURATION_S:g} s"
+        raise InputError(f"duration of {duration_s:g} s: {remedy}")
     if not 1.0 <= rate_hz <= 100.0:
-        raise InputError(f"{rate_hz:g} frames per second; choose 1 to 100")
+        raise InputError(f"rate of {rate_hz:g} frames a second: choose 1 to 100")
 
 
 def _scene(
