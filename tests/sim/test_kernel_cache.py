@@ -29,7 +29,8 @@ def run(folder: Path, cache: Path) -> str:
     """Hits in the cache and the kernel's value, of a process of its own."""
     source = Path(__file__).parents[2] / "src"
     path = os.pathsep.join([str(folder), str(source)])
-    environment = {**os.environ, "PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)}
+    own = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, **own}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True, text=True
     )
