@@ -17,6 +17,7 @@ USUAL_METRICS = (
     "object_recall", "object_precision", "id_switches", "idf1", "hota",
     "object_velocity_rmse_mps", "point_precision", "point_recall", "static_kept",
 )  # fmt: skip
+_NAMES = ("sequence", "settings", "metric")
 _NEES_DOF = {"nees_orientation": 3, "nees_position": 3, "nees_pose": 6}
 
 
@@ -122,7 +123,7 @@ def summary_tables(summary: BatchSummary, metrics: Sequence[str] | None) -> tupl
     table = Table(title=f"{summary.finished} runs")
     columns = ("sequence", "settings", "metric", "runs", "mean", "median", "std", "min", "max")
     for column in columns:
-        table.add_column(column)
+        table.add_column(column, no_wrap=column in _NAMES)
     shown = set(metrics or USUAL_METRICS)
     for s in summary.spreads:
         if s.metric in shown:
@@ -132,7 +133,7 @@ def summary_tables(summary: BatchSummary, metrics: Sequence[str] | None) -> tupl
         return (table,)
     second = Table(title="consistency: mean NEES over the runs, 95 % band")
     for column in ("sequence", "settings", "metric", "runs", "mean", "band", ""):
-        second.add_column(column)
+        second.add_column(column, no_wrap=column in _NAMES)
     for c in summary.consistency:
         band = f"{c.low:.2f} ... {c.high:.2f}"
         verdict = "inside" if c.inside else "too cautious" if c.mean < c.low else "overconfident"

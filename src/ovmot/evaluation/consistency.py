@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -81,7 +81,7 @@ def nis(innovations: Sequence[FloatArray], covariances: Sequence[FloatArray]) ->
 def chi_squared_bounds(dof: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided bounds of one normalised square with so many degrees of freedom."""
     tail = 0.5 * (1.0 - probability)
-    return float(chi2.ppf(tail, dof)), float(chi2.ppf(1.0 - tail, dof))
+    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
 
 
 def average_bounds(

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, qr
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.msckf.state import State, box_plus
@@ -59,4 +59,4 @@ def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArra
 @lru_cache(maxsize=4096)
 def chi2_bound(dof: int, probability: float = 0.95) -> float:
     """Quantile of the chi-squared distribution."""
-    return float(chi2.ppf(probability, dof))
+    return float(chdtri(dof, 1.0 - probability))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ovmot.config import SplitSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -70,8 +70,8 @@ def covariance_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
     """
     rest = examine_rest(evidence.comparison, settings)
     tested = rest.rows > 0
-    impossible = tested & (rest.distance > chi2.ppf(1.0 - settings.false_alarm, 4))
-    unlikely = tested & (rest.distance > chi2.ppf(_WEAK_PROBABILITY, 4))
+    impossible = tested & (rest.distance > chdtri(4, settings.false_alarm))
+    unlikely = tested & (rest.distance > chdtri(4, 1.0 - _WEAK_PROBABILITY))
     steady = rest.explained & (rest.rows >= 2)
     strong, weak = impossible & steady, unlikely & steady
     alike = neighbours_with_same_velocity(
@@ -107,7 +107,7 @@ def examine_rest(comparison: Comparison, settings: SplitSettings) -> RestTest:
     left = r - (Jv @ v)[..., 0]
     cost = np.einsum("lni,lnij,lnj->n", left, W, left)
     rows = tested.sum(0)
-    explained = cost < _FIT_SLACK * chi2.ppf(0.999, np.maximum(4 * rows - 3, 1))
+    explained = cost < _FIT_SLACK * chdtri(np.maximum(4 * rows - 3, 1), 0.001)
     return RestTest(distance, rows, v[..., 0], covariance, explained)
 
 
