@@ -76,14 +76,21 @@ class FilterSettings(Section):
     """Past IMU poses kept in the state."""
     clone_spacing_s: float = Field(0.1, ge=0.0)
     """Faster frames are followed, but their clones leave so that the window spans more time."""
-    integration: Literal["discrete", "rk4"] = "rk4"
-    """IMU integration: averaged samples with constant rates, or Runge-Kutta of 4th order."""
+    integration: Literal["discrete", "rk4", "analytic"] = "rk4"
+    """IMU integration: one step of mean rates, Runge-Kutta of 4th order, or in closed form."""
     pixel_sigma: float = Field(1.0, gt=0.0)
     """Standard deviation of a feature's position in the image, pixels."""
     chi2_multiplier: float = Field(1.0, gt=0.0)
     """Factor on the 95 % chi-squared bound of a feature's innovation."""
     max_features_per_update: int = Field(60, ge=1)
     """Features used in one update; those seen longest come first."""
+    max_landmarks: int = Field(25, ge=0, le=500)
+    """Features kept in the state as landmarks, those that outlive the window; 0 for none."""
+    landmark_representation: Literal[
+        "global_xyz", "global_inverse_depth", "anchored_xyz", "anchored_inverse_depth",
+        "anchored_msckf_inverse_depth", "anchored_single_inverse_depth",
+    ] = "anchored_msckf_inverse_depth"  # fmt: skip
+    """How landmarks are written in the state."""
     min_depth_m: float = Field(0.1, gt=0.0)
     """Triangulated points nearer than this are not used."""
     max_depth_m: float = Field(150.0, gt=0.0)
@@ -94,6 +101,33 @@ class FilterSettings(Section):
     """Estimate the time offset between camera and IMU online."""
     time_offset_sigma_s: float = Field(0.005, ge=0.0)
     """Standard deviation of the time offset at the start, seconds."""
+
+
+class CalibrationSettings(Section):
+    """Which parts of the calibration are estimated online, and how far they may be off."""
+
+    extrinsics: bool = False
+    """Poses of both cameras on the IMU."""
+    intrinsics: bool = False
+    """Focal lengths, centres and distortion of both lenses."""
+    imu_intrinsics: bool = False
+    """Scale and misalignment of gyroscope and accelerometer."""
+    g_sensitivity: bool = False
+    """What acceleration does to the gyroscope."""
+    rotation_sigma_rad: float = Field(0.01, gt=0.0)
+    """Standard deviation of a camera's rotation at the start."""
+    position_sigma_m: float = Field(0.01, gt=0.0)
+    """Standard deviation of a camera's position at the start."""
+    focal_sigma_px: float = Field(3.0, gt=0.0)
+    """Standard deviation of a focal length at the start."""
+    center_sigma_px: float = Field(3.0, gt=0.0)
+    """Standard deviation of an image centre at the start."""
+    distortion_sigma: float = Field(0.005, gt=0.0)
+    """Standard deviation of a distortion coefficient at the start."""
+    imu_matrix_sigma: float = Field(0.005, gt=0.0)
+    """Standard deviation of each scale and misalignment of the IMU at the start."""
+    g_sensitivity_sigma: float = Field(0.001, gt=0.0)
+    """Standard deviation of each g-sensitivity at the start, rad/s per m/s^2."""
 
 
 class ImuSettings(Section):
@@ -199,6 +233,7 @@ class Settings(Section):
     tracker: TrackerSettings = TrackerSettings()
     epipolar: EpipolarSettings = EpipolarSettings()
     filter: FilterSettings = FilterSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
     imu: ImuSettings = ImuSettings()
     initialization: InitializationSettings = InitializationSettings()
     zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()

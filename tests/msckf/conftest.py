@@ -10,7 +10,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
-from ovmot.msckf.state import CLONE_SIZE, FIRST_CLONE, Clones, ImuState, State
+from ovmot.msckf.state import CLONE_SIZE, N_BASE, Clones, ImuState, State
 from ovmot.types import FrontendFrame, ImuNoise
 
 START_NS = 1_500_000_000_000_000_000
@@ -134,7 +134,7 @@ def make_state() -> Callable[..., State]:
         )
         twists = rng.normal(0.0, 0.2, (n_clones, 6))
         T = se3.make(imu.R_world_imu, imu.position) @ se3.exp(twists)
-        n = FIRST_CLONE + CLONE_SIZE * n_clones
+        n = N_BASE + CLONE_SIZE * n_clones
         A = 1e-2 * rng.normal(size=(n, n))
         stamps = START_NS + 100_000_000 * np.arange(n_clones)
         return State(

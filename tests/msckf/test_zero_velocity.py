@@ -13,7 +13,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.ego import FilterEgo
 from ovmot.msckf.start_at_rest import StartPrior, start_at_rest
-from ovmot.msckf.state import VELOCITY, Clones, State, box_plus, clone_columns, drop_clone
+from ovmot.msckf.state import VELOCITY, Clones, State, box_plus, drop_clone
 from ovmot.msckf.zero_velocity import (
     prediction_allows_standing,
     standing_measurement,
@@ -35,7 +35,7 @@ def resting(make_state: Callable[..., State]) -> State:
     P = np.diag(np.full(len(state.covariance), 1e-4))
     P[VELOCITY, VELOCITY] = 0.02**2 * np.eye(3)
     # clones of one filter share their errors: their difference is known far better than they are
-    a, b = clone_columns(0), clone_columns(1)
+    a, b = state.clone_columns(0), state.clone_columns(1)
     P[a, a] = P[b, b] = P[a, b] = P[b, a] = 1e-2 * np.eye(6)
     P[b, b] += 1e-6 * np.eye(6)
     return replace(

@@ -78,6 +78,21 @@ def left_jacobian(rotation_vector: FloatArray) -> FloatArray:
     return right_jacobian(-np.asarray(rotation_vector, dtype=np.float64))
 
 
+def second_left_jacobian(rotation_vector: FloatArray) -> FloatArray:
+    """∫(1 - s) exp(s v) ds over 0..1 (..., 3, 3): what constant turning does to a second integral.
+
+    ½ I + c K + d K², c as in `right_jacobian`, d = (t²/2 + cos t - 1) / t⁴.
+    """
+    v = np.asarray(rotation_vector, dtype=np.float64)
+    _, b, c = _coefficients(v)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
+    small = angle < 1e-2
+    safe = np.where(small, 1.0, angle)
+    d = np.where(small, 1.0 / 24.0 - angle**2 / 720.0, (0.5 - b) / safe**2)
+    K = hat(v)
+    return np.asarray(0.5 * np.eye(3) + c * K + d * (K @ K))
+
+
 def from_quaternion(quaternion: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) of Hamilton quaternions (..., 4), order x y z w."""
     q = np.asarray(quaternion, dtype=np.float64)

@@ -1,16 +1,25 @@
-"""One visual correction: choose ended features, triangulate, gate, compress, update."""
+"""One visual correction: landmarks in view; then ended features, located, gated, compressed."""
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import FilterSettings
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.msckf.features import chi2_gate, linearize, project_nullspace, triangulate_features
-from ovmot.msckf.state import FIRST_CLONE, State
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.msckf.calibration import calibrated_rig
+from ovmot.msckf.features import (
+    FeatureSystem,
+    chi2_gate,
+    linearize,
+    project_nullspace,
+    triangulate_features,
+)
+from ovmot.msckf.slam import add_landmarks, update_landmarks
+from ovmot.msckf.state import State, drop_landmarks
 from ovmot.msckf.update import compress, ekf_update
 from ovmot.tracks import TrackTable, mark_used
 
 _MIN_VIEWS = 3  # left observations from different clones
+_MAX_REFUSED = 3  # updates in a row after which a landmark is not believed any more
 
 
 def own_rows(table: TrackTable, state: State) -> BoolArray:
@@ -33,11 +42,15 @@ def correct_with_features(
     *,
     oldest_leaves: bool,
 ) -> tuple[State, TrackTable]:
-    """Update by features that ended, or that the oldest clone, about to leave, still holds.
+    """Update by landmarks in view and by features that ended, or that the oldest clone still holds.
 
-    Features that were suspect when last seen are not used. Observations of the chosen features are
-    marked as used, also where a test then refuses them, and all those of features that are gone.
+    Of those that the oldest clone, about to leave, holds and that are still seen, the ones seen
+    longest become landmarks while there is room. `rig` is that of the calibration files. Features
+    that were suspect when last seen are not used. Observations of the chosen features are marked as
+    used, also where a test then refuses them, and all those of features that are gone.
     """
+    now = calibrated_rig(rig, state.calibration)
+    state, table = _correct_with_landmarks(state, table, now, rig.T_imu_cam0, settings)
     usable = usable_observations(table, state)
     views = usable.sum(axis=0)
     gone = ~table.seen_now
@@ -45,55 +58,117 @@ def correct_with_features(
     if oldest_leaves and len(state.clones):
         oldest = table.frame_ns == state.clones.timestamp_ns[0]
         due |= usable[oldest].any(axis=0)
+    due &= ~np.isin(table.feature_id, state.landmarks.feature_id)
     chosen = due & (views >= _MIN_VIEWS) & ~table.suspect
-    if chosen.sum() > settings.max_features_per_update:
-        ranked = np.argsort(np.where(chosen, -views, 1), kind="stable")
-        chosen = np.zeros_like(chosen)
-        chosen[ranked[: settings.max_features_per_update]] = True
-    spent = usable & (chosen | gone)
+    room = settings.max_landmarks - len(state.landmarks)
+    lasting = _first(chosen & ~gone, views, room)
+    chosen = _first(chosen & ~lasting, views, settings.max_features_per_update)
+    spent = usable & (chosen | lasting | gone)
     if chosen.any():
-        pixels, normalized = _per_clone(table, state, usable, chosen)
-        state = update_with_tracks(state, rig, pixels, normalized, settings)
+        pixels = _per_clone(table, state, usable, chosen)
+        state = update_with_tracks(state, now, pixels, settings)
+    if lasting.any():
+        pixels = _per_clone(table, state, usable, lasting)
+        ids = table.feature_id[lasting]
+        state = add_with_tracks(state, now, rig.T_imu_cam0, ids, pixels, settings)
     return state, mark_used(table, spent)
 
 
 def update_with_tracks(
-    state: State,
-    rig: StereoRig,
-    pixels: FloatArray,
-    normalized: FloatArray,
-    settings: FilterSettings,
+    state: State, rig: StereoRig, pixels: FloatArray, settings: FilterSettings
 ) -> State:
-    """MSCKF update by features seen as (F, K, 4) from the K clones."""
-    sigma = settings.pixel_sigma
-    depth_range = (settings.min_depth_m, settings.max_depth_m)
-    points = triangulate_features(state, rig, normalized, sigma, depth_range)
-    keep = points.valid
-    if not keep.any():
+    """MSCKF update by features seen as (F, K, 4) from the K clones; `rig` as calibrated now."""
+    system, _, _ = _located(state, rig, pixels, settings)
+    if not len(system.residual):
         return state
-    system = linearize(state, rig, pixels[keep], points.p_world[keep], sigma)
     H, residual = project_nullspace(system)
-    passed = chi2_gate(state, H, residual, system.n_rows - 3, settings.chi2_multiplier)
+    columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
+    P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
+    passed = chi2_gate(P, H, residual, system.n_rows - 3, settings.chi2_multiplier)
     if not passed.any():
         return state
     H, residual = H[passed].reshape(-1, H.shape[2]), residual[passed].ravel()
     real = np.abs(H).max(axis=1) > 0.0
     H, residual = compress(H[real], residual[real])
-    columns = np.arange(FIRST_CLONE, len(state.covariance))
     return ekf_update(state, H, columns, residual, np.ones(len(residual)))
 
 
-def _per_clone(
-    table: TrackTable, state: State, usable: BoolArray, chosen: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Pixels and plane coordinates (F, K, 4) of chosen features, NaN where not to be used."""
+def add_with_tracks(
+    state: State,
+    rig: StereoRig,
+    T_imu_anchor: FloatArray,
+    feature_id: IntArray,
+    pixels: FloatArray,
+    settings: FilterSettings,
+) -> State:
+    """Take features (F,), seen as (F, K, 4) from the K clones, into the state as landmarks."""
+    system, p_world, found = _located(state, rig, pixels, settings)
+    return add_landmarks(
+        state, system, feature_id[found], p_world, T_imu_anchor, settings.chi2_multiplier
+    )
+
+
+def _correct_with_landmarks(
+    state: State,
+    table: TrackTable,
+    rig: StereoRig,
+    T_imu_anchor: FloatArray,
+    settings: FilterSettings,
+) -> tuple[State, TrackTable]:
+    """Let landmarks go that are lost, move or were refused too often; update by the others."""
+    ids = state.landmarks.feature_id
+    alive = table.feature_id[table.seen_now & ~table.barred]
+    gone = ~np.isin(ids, alive) | (state.landmarks.refused >= _MAX_REFUSED)
+    state = drop_landmarks(state, gone)
+    if not len(state.landmarks):
+        return state, table
+    order = np.argsort(table.feature_id)
+    column = order[np.searchsorted(table.feature_id, state.landmarks.feature_id, sorter=order)]
+    pixels = table.pixels[-1, column]
+    pixels[table.suspect[column]] = np.nan
+    state = update_landmarks(
+        state, rig, T_imu_anchor, pixels, settings.pixel_sigma, settings.chi2_multiplier
+    )
+    spent = np.zeros_like(table.used)
+    spent[-1, column] = True
+    return state, mark_used(table, spent)
+
+
+def _first(candidates: BoolArray, views: IntArray, count: int) -> BoolArray:
+    """At most `count` of the candidates (F,), those with most views first."""
+    if candidates.sum() <= count:
+        return candidates
+    out = np.zeros_like(candidates)
+    ranked = np.argsort(np.where(candidates, -views, 1), kind="stable")
+    out[ranked[: max(count, 0)]] = True
+    return out
+
+
+def _located(
+    state: State, rig: StereoRig, pixels: FloatArray, settings: FilterSettings
+) -> tuple[FeatureSystem, FloatArray, BoolArray]:
+    """Measurements and points of the features that could be triangulated, and which (F,) these are.
+
+    The plane coordinates are made here, by the lenses as they are calibrated now.
+    """
+    sigma = settings.pixel_sigma
+    normalized = np.concatenate(
+        [rig.cam0.normalize(pixels[..., :2]), rig.cam1.normalize(pixels[..., 2:])], axis=-1
+    )
+    depth_range = (settings.min_depth_m, settings.max_depth_m)
+    points = triangulate_features(state, rig, normalized, sigma, depth_range)
+    found = points.valid
+    system = linearize(state, rig, pixels[found], points.p_world[found], sigma)
+    return system, points.p_world[found], found
+
+
+def _per_clone(table: TrackTable, state: State, usable: BoolArray, chosen: BoolArray) -> FloatArray:
+    """Pixels (F, K, 4) of chosen features, NaN where not to be used."""
     features = np.flatnonzero(chosen)
     pixels = np.full((len(features), len(state.clones), 4), np.nan)
-    normalized = np.full_like(pixels, np.nan)
     for k, stamp in enumerate(state.clones.timestamp_ns):
         row = np.flatnonzero(table.frame_ns == stamp)
         if len(row):
             take = usable[row[0], features]
             pixels[take, k] = table.pixels[row[0], features[take]]
-            normalized[take, k] = table.normalized[row[0], features[take]]
-    return pixels, normalized
+    return pixels

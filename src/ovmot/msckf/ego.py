@@ -3,13 +3,17 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf import propagation
+from ovmot.msckf.calibration import calibrated_rig, make_calibration
 from ovmot.msckf.correction import correct_with_features
-from ovmot.msckf.state import FIRST_CLONE, N_IMU, TIME_OFFSET, State, drop_clone
+from ovmot.msckf.landmarks import no_landmarks
+from ovmot.msckf.slam import change_anchor
+from ovmot.msckf.state import N_IMU, TIME_OFFSET, State, drop_clone, pose_matrix
 from ovmot.msckf.stillness import picture_is_still
 from ovmot.msckf.zero_velocity import prediction_allows_standing, zero_velocity_update
 from ovmot.tracks import TrackTable, keep_window, share_clone
@@ -51,6 +55,7 @@ class FilterEgo:
             self.settings.filter.gravity_mps2,
             propagation.INTEGRATORS[self.settings.filter.integration],
             imu.spacing_s(samples) > self.settings.imu.max_gap_s,
+            self.state.calibration,
         )
         state = propagation.propagate(self.state, result, end_ns)
         return replace(self, state=propagation.clone_pose(state, frame_ns, result.angular_velocity))
@@ -76,6 +81,9 @@ class FilterEgo:
         state, stamps = self.state, self.state.clones.timestamp_ns
         leaving = self._leaving(self.standing)
         if leaving is not None:
+            kept = -2 if leaving == len(stamps) - 1 else -1
+            anchor = self.rig.T_imu_cam0
+            state = change_anchor(state, int(stamps[leaving]), int(stamps[kept]), anchor)
             state = drop_clone(state, leaving)
         if self.standing and leaving is not None:
             table = share_clone(table, int(stamps[-1]), int(stamps[-2]))
@@ -95,24 +103,38 @@ class FilterEgo:
 
     def window(self) -> PoseWindow:
         """The clones' poses and their covariance."""
-        clones, P = self.state.clones, self.state.covariance
-        return PoseWindow(clones.timestamp_ns, clones.T_world_imu, P[FIRST_CLONE:, FIRST_CLONE:])
+        clones = self.state.clones
+        return PoseWindow(clones.timestamp_ns, clones.T_world_imu, self.state.clone_covariance)
+
+    def calibrated_rig(self) -> StereoRig:
+        """The rig as it is calibrated now."""
+        return calibrated_rig(self.rig, self.state.calibration)
 
     def estimate(self, frame_ns: int) -> EgoEstimate:
         """The state at the newest frame, for the outputs."""
         s, P = self.state, self.state.covariance
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = s.imu.R_world_imu, s.imu.position
+        rig = self.calibrated_rig()
         return EgoEstimate(
             timestamp_ns=frame_ns,
-            T_world_imu=T,
+            T_world_imu=pose_matrix(s.imu),
             velocity=s.imu.velocity,
             gyro_bias=s.imu.gyro_bias,
             accel_bias=s.imu.accel_bias,
             covariance=P[:N_IMU, :N_IMU],
-            T_imu_cam0=self.rig.T_imu_cam0,
-            T_imu_cam1=self.rig.T_imu_cam1,
+            T_imu_cam0=rig.T_imu_cam0,
+            T_imu_cam1=rig.T_imu_cam1,
             time_offset_s=s.time_offset_s,
             time_offset_std_s=float(np.sqrt(max(P[TIME_OFFSET, TIME_OFFSET], 0.0))),
             standing=self.standing,
         )
+
+
+def with_estimated_parts(state: State, rig: StereoRig, settings: Settings) -> State:
+    """A state that starts, with the calibration that is to be estimated and room for landmarks."""
+    calibration, variance = make_calibration(rig, settings.calibration)
+    return replace(
+        state,
+        calibration=calibration,
+        landmarks=no_landmarks(settings.filter.landmark_representation),
+        covariance=block_diag(state.covariance, np.diag(variance)),
+    )

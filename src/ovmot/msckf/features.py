@@ -12,19 +12,41 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import ManyViewPoints, triangulate_many_views
-from ovmot.msckf.state import FIRST_CLONE, State
+from ovmot.msckf.calibration import (
+    CAMERA_POSES,
+    LENSES,
+    Calibration,
+    camera_pose_jacobian,
+    lens_jacobian,
+)
+from ovmot.msckf.state import Clones, State
 from ovmot.msckf.update import chi2_bound
+
+
+@dataclass(frozen=True, slots=True)
+class Reprojection:
+    """Errors of F features seen from K clones, in units of the pixel noise, and derivatives.
+
+    `residual` (F, K, 4), `by_pose` (F, K, 4, 6), `by_point` (F, K, 4, 3), `by_calibration`
+    (F, K, 4, C), all zero where a view did not see the feature; `seen` (F, K, 4).
+    """
+
+    residual: FloatArray
+    by_pose: FloatArray
+    by_point: FloatArray
+    by_calibration: FloatArray
+    seen: BoolArray
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureSystem:
     """Linear measurements of F features over K clones, whitened by the pixel noise.
 
-    `H_pose` (F, M, 6K), `H_point` (F, M, 3), `residual` (F, M) with M = 4K rows, zero where a
-    view did not see the feature; `n_rows` (F,): how many rows are real.
+    `H` (F, M, C + 6K) over the calibration and the clones, `H_point` (F, M, 3), `residual` (F, M)
+    with M = 4K rows, zero where a view did not see the feature; `n_rows` (F,): how many are real.
     """
 
-    H_pose: FloatArray
+    H: FloatArray
     H_point: FloatArray
     residual: FloatArray
     n_rows: IntArray
@@ -37,7 +59,7 @@ def triangulate_features(
     sigma_px: float,
     depth_range: tuple[float, float],
 ) -> ManyViewPoints:
-    """Points of features seen as `normalized` (F, K, 4) from the state's K clones."""
+    """Points of features seen as `normalized` (F, K, 4) from the state's K clones, by this rig."""
     n_features, n_clones, _ = normalized.shape
     T_imu_world = se3.inverse(state.clones.T_world_imu)
     T_views = np.stack(
@@ -47,22 +69,26 @@ def triangulate_features(
     return triangulate_many_views(views, T_views, sigma_px / rig.cam0.fx, depth_range=depth_range)
 
 
-def linearize(
-    state: State, rig: StereoRig, pixels: FloatArray, p_world: FloatArray, sigma_px: float
-) -> FeatureSystem:
+def reproject(
+    clones: Clones,
+    rig: StereoRig,
+    pixels: FloatArray,
+    points: tuple[FloatArray, FloatArray],
+    sigma_px: float,
+    calibration: Calibration,
+) -> Reprojection:
     """Reprojection errors in pixels / sigma and their derivatives, in the error coordinates.
 
-    `pixels` (F, K, 4), NaN where unseen; `p_world` (F, 3). With p_imu = Rᵀ(p - t):
-    ∂p_imu/∂θ = [p_imu]x, ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
+    `pixels` (F, K, 4), NaN where unseen; `points`: world points (F, 3) at the latest and at the
+    first estimates; `rig` as calibrated now. With p_imu = Rᵀ(p - t): ∂p_imu/∂θ = [p_imu]x,
+    ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
     """
-    n_features, n_clones, _ = pixels.shape
-    residual = np.empty((n_features, n_clones, 4))
-    J_pose = np.empty((n_features, n_clones, 4, 6))
-    J_point = np.empty((n_features, n_clones, 4, 3))
-    now = se3.inverse(state.clones.T_world_imu)
-    first = se3.inverse(state.clones.T_world_imu_first)
-    p_imu = se3.apply(now[None], p_world[:, None])
-    p_first = se3.apply(first[None], p_world[:, None])
+    shape = pixels.shape
+    residual, by_pose = np.empty(shape), np.empty((*shape, 6))
+    by_point, by_calibration = np.empty((*shape, 3)), np.zeros((*shape, len(calibration)))
+    first = se3.inverse(clones.T_world_imu_first)
+    p_imu = se3.apply(se3.inverse(clones.T_world_imu)[None], points[0][:, None])
+    p_first = se3.apply(first[None], points[1][:, None])
     by_theta = so3.hat(p_first)
     for side, (camera, T_imu_cam) in enumerate(
         ((rig.cam0, rig.T_imu_cam0), (rig.cam1, rig.T_imu_cam1))
@@ -70,36 +96,72 @@ def linearize(
         T_cam_imu = se3.inverse(T_imu_cam)
         rows = slice(2 * side, 2 * side + 2)
         residual[..., rows] = pixels[..., rows] - camera.project(se3.apply(T_cam_imu, p_imu))
-        _, J = camera.project_with_jacobian(se3.apply(T_cam_imu, p_first))
+        p_cam = se3.apply(T_cam_imu, p_first)
+        _, J = camera.project_with_jacobian(p_cam)
         J_imu = J @ T_cam_imu[:3, :3]
-        J_world = J_imu @ first[None, :, :3, :3]
-        J_pose[..., rows, :3] = J_imu @ by_theta
-        J_pose[..., rows, 3:] = -J_world
-        J_point[..., rows, :] = J_world
-    ok = np.isfinite(residual) & np.isfinite(J_pose).all(-1)
-    residual = np.where(ok, residual / sigma_px, 0.0)
-    J_point = np.where(ok[..., None], J_point / sigma_px, 0.0)
+        by_point[..., rows, :] = J_imu @ first[None, :, :3, :3]
+        by_pose[..., rows, :3] = J_imu @ by_theta
+        by_pose[..., rows, 3:] = -by_point[..., rows, :]
+        where = calibration.where(CAMERA_POSES[side])
+        if where is not None:
+            by_pose_of_camera = camera_pose_jacobian(
+                calibration, CAMERA_POSES[side], p_cam, T_cam_imu[:3, :3]
+            )
+            by_calibration[..., rows, where] = J @ by_pose_of_camera
+        where = calibration.where(LENSES[side])
+        if where is not None:
+            by_calibration[..., rows, where] = lens_jacobian(camera, p_cam)
+    seen = np.isfinite(residual) & np.isfinite(by_pose).all(-1)
+
+    def whitened(values: FloatArray) -> FloatArray:
+        return np.where(seen[..., None], values / sigma_px, 0.0)
+
+    return Reprojection(
+        np.where(seen, residual / sigma_px, 0.0), whitened(by_pose), whitened(by_point),
+        whitened(by_calibration), seen,
+    )  # fmt: skip
+
+
+def linearize(
+    state: State, rig: StereoRig, pixels: FloatArray, p_world: FloatArray, sigma_px: float
+) -> FeatureSystem:
+    """The measurements of features seen as `pixels` (F, K, 4) at points (F, 3); see `reproject`."""
+    n_features, n_clones, _ = pixels.shape
+    r = reproject(
+        state.clones, rig, pixels, (p_world, p_world), sigma_px, state.calibration
+    )  # fmt: skip
     H = np.zeros((n_features, n_clones, 4, n_clones, 6))
     k = np.arange(n_clones)
-    H[:, k, :, k, :] = np.moveaxis(np.where(ok[..., None], J_pose / sigma_px, 0.0), 1, 0)
+    H[:, k, :, k, :] = np.moveaxis(r.by_pose, 1, 0)
     m = 4 * n_clones
+    by_calibration = r.by_calibration.reshape(n_features, m, len(state.calibration))
     return FeatureSystem(
-        H.reshape(n_features, m, 6 * n_clones),
-        J_point.reshape(n_features, m, 3),
-        residual.reshape(n_features, m),
-        ok.sum((1, 2)),
+        np.concatenate([by_calibration, H.reshape(n_features, m, 6 * n_clones)], axis=2),
+        r.by_point.reshape(n_features, m, 3),
+        r.residual.reshape(n_features, m),
+        r.seen.sum((1, 2)),
     )
 
 
 def project_nullspace(system: FeatureSystem) -> tuple[FloatArray, FloatArray]:
-    """H_pose and residual without the point: (F, M - 3, 6K) and (F, M - 3).
+    """H and residual without the point: (F, M - 3, C + 6K) and (F, M - 3).
 
-    Three Householder reflections, on all features at once, bring H_point to triangular form; the
-    rows below no longer depend on the point, and their noise stays white (G. Golub & C. Van Loan,
-    sec. 5.2).
+    Three reflections, on all features at once, bring H_point to triangular form; the rows below no
+    longer depend on the point.
     """
-    A = np.concatenate([system.H_point, system.H_pose, system.residual[..., None]], axis=2)
-    for j in range(3):
+    A = triangularize(
+        np.concatenate([system.H_point, system.H, system.residual[..., None]], axis=2), 3
+    )
+    return A[:, 3:, 3:-1], A[:, 3:, -1]
+
+
+def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
+    """Matrices (F, M, N), turned so that the first columns are zero below their diagonal.
+
+    Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
+    """
+    A = A.copy()
+    for j in range(n_columns):
         x = A[:, j:, j]
         v = x.copy()
         sign = np.where(x[:, 0] < 0.0, -1.0, 1.0)
@@ -107,14 +169,16 @@ def project_nullspace(system: FeatureSystem) -> tuple[FloatArray, FloatArray]:
         length = (v * v).sum(1)
         v *= np.sqrt(2.0 / np.where(length > 0.0, length, 1.0))[:, None]
         A[:, j:] -= v[:, :, None] * (v[:, None, :] @ A[:, j:])
-    return A[:, 3:, 3:-1], A[:, 3:, -1]
+    return A
 
 
 def chi2_gate(
-    state: State, H: FloatArray, residual: FloatArray, dof: IntArray, multiplier: float
+    P: FloatArray, H: FloatArray, residual: FloatArray, dof: IntArray, multiplier: float
 ) -> BoolArray:
-    """Which features (F,) agree with the state at 95 %: rᵀ (H P Hᵀ + I)⁻¹ r below the bound."""
-    P = state.covariance[FIRST_CLONE:, FIRST_CLONE:]
+    """Which features (F,) agree with the state at 95 %: rᵀ (H P Hᵀ + I)⁻¹ r below the bound.
+
+    `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies.
+    """
     S = H @ P @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
     distance = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
     bounds = np.array([chi2_bound(max(int(d), 1)) for d in dof])

@@ -8,11 +8,11 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.imu_buffer import ImuBuffer
-from ovmot.msckf.ego import FilterEgo
+from ovmot.msckf.ego import FilterEgo, with_estimated_parts
 from ovmot.msckf.state import (
     ACCEL_BIAS,
-    FIRST_CLONE,
     GYRO_BIAS,
+    N_BASE,
     POSITION,
     THETA,
     TIME_OFFSET,
@@ -74,7 +74,7 @@ class KnownStart:
         if first_ns != self.timestamp_ns:
             return f"the known state is at {self.timestamp_ns} ns, the first frame at {first_ns} ns"
         settings = self.settings.filter
-        variance = np.zeros(FIRST_CLONE)
+        variance = np.zeros(N_BASE)
         variance[THETA] = self.sigmas.rotation**2
         variance[POSITION] = self.sigmas.position**2
         variance[VELOCITY] = self.sigmas.velocity**2
@@ -86,4 +86,5 @@ class KnownStart:
             self.imu_time_ns(first_ns), self.imu, self.imu, self.rig.time_offset_s,
             no_clones(), np.diag(variance),
         )  # fmt: skip
+        state = with_estimated_parts(state, self.rig, self.settings)
         return FilterEgo(state, self.rig, self.noise, self.settings)

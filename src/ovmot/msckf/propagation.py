@@ -11,9 +11,11 @@ import numpy as np
 
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.msckf.calibration import Calibration, correct_imu, imu_intrinsics, imu_sensitivity
 from ovmot.msckf.state import (
     ACCEL_BIAS,
     GYRO_BIAS,
+    N_BASE,
     N_IMU,
     POSITION,
     THETA,
@@ -22,10 +24,12 @@ from ovmot.msckf.state import (
     Clones,
     ImuState,
     State,
+    pose_matrix,
 )
 from ovmot.types import ImuData, ImuNoise
 
 # Where samples are missing, nothing was measured: the motion is only known to be a vehicle's.
+_FIXED = Calibration()
 _GAP_GYRO = 0.5  # rad/s/sqrt(Hz)
 _GAP_ACCEL = 3.0  # m/s²/sqrt(Hz)
 
@@ -76,12 +80,34 @@ def integrate_rk4(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> Increm
     )  # fmt: skip
 
 
-INTEGRATORS: dict[str, Integrator] = {"discrete": integrate_discrete, "rk4": integrate_rk4}
+def integrate_analytic(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> Increments:
+    """Closed form for mean rates that are constant in the body frame over each pair.
+
+    ∫exp(ωt)dt = J_l(ωh) h, and the integral of that in closed form (Y. Yang et al., TRO 2023).
+    """
+    h = dt[:, None]
+    w, a = 0.5 * (gyro[:-1] + gyro[1:]), 0.5 * (accel[:-1] + accel[1:])
+    phi = w * h
+    once = so3.left_jacobian(phi)
+    twice = so3.second_left_jacobian(phi)
+    velocity = h * (once @ a[..., None])[..., 0]
+    position = h**2 * (twice @ a[..., None])[..., 0]
+    return Increments(so3.exp(phi), velocity, position, dt)
+
+
+INTEGRATORS: dict[str, Integrator] = {
+    "discrete": integrate_discrete,
+    "rk4": integrate_rk4,
+    "analytic": integrate_analytic,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Propagation:
-    """Result of one interval: the IMU state at its end, Φ (15, 15) and Q (15, 15)."""
+    """Result of one interval: the IMU state at its end, Φ (15, 16 + C) and Q (15, 15).
+
+    Φ's columns are the IMU's, the time offset's (zero) and the calibration's.
+    """
 
     imu: ImuState
     transition: FloatArray
@@ -97,6 +123,7 @@ def propagate_imu(
     gravity: float,
     integrator: Integrator,
     unseen: BoolArray | None = None,
+    calibration: Calibration = _FIXED,
 ) -> Propagation:
     """Integrate `samples` (n + 1), whose first and last stamps are the interval's ends.
 
@@ -108,17 +135,20 @@ def propagate_imu(
     transitions of consecutive intervals agree on what can not be observed.
     """
     dt = np.diff(samples.timestamp_ns) * 1e-9
-    gyro, accel = samples.gyro - imu.gyro_bias, samples.accel - imu.accel_bias
+    bias = (imu.gyro_bias, imu.accel_bias)
+    gyro, accel = correct_imu(samples.gyro, samples.accel, bias, imu_intrinsics(calibration))
     parts = integrator(gyro, accel, dt)
     mean_rate, mean_accel = 0.5 * (gyro[:-1] + gyro[1:]), 0.5 * (accel[:-1] + accel[1:])
     g = np.array([0.0, 0.0, -gravity])
     R = _chain(imu.R_world_imu, parts.rotation)
     F, Q = _interval_matrices(R[:-1], parts, mean_rate, mean_accel, noise, unseen)
+    by_calibration = _calibrated(F, samples, bias, calibration)
     v, p = imu.velocity, imu.position
-    transition, covariance = np.eye(N_IMU), np.zeros((N_IMU, N_IMU))
+    transition, covariance = np.eye(N_IMU, N_BASE + len(calibration)), np.zeros((N_IMU, N_IMU))
     for i, h in enumerate(dt):
         covariance = F[i] @ covariance @ F[i].T + Q[i]
         transition = F[i] @ transition
+        transition[:, N_BASE:] += by_calibration[i]
         p = p + v * h + 0.5 * g * h * h + R[i] @ parts.position[i]
         v = v + g * h + R[i] @ parts.velocity[i]
     end = replace(imu, R_world_imu=so3.project_to_rotation(R[-1]), velocity=v, position=p)
@@ -129,9 +159,10 @@ def propagate_imu(
 def propagate(state: State, result: Propagation, timestamp_ns: int) -> State:
     """The state carried to `timestamp_ns` by a propagation; clones stay, correlated through Φ."""
     P = state.covariance.copy()
-    P[:N_IMU] = result.transition @ P[:N_IMU]
-    P[:, :N_IMU] = P[:, :N_IMU] @ result.transition.T
-    P[:N_IMU, :N_IMU] += result.noise
+    Phi, n = result.transition, result.transition.shape[1]
+    moved = Phi @ P[:n]
+    P[:N_IMU], P[:, :N_IMU] = moved, moved.T
+    P[:N_IMU, :N_IMU] = moved[:, :n] @ Phi.T + result.noise
     return replace(
         state,
         timestamp_ns=timestamp_ns,
@@ -147,24 +178,20 @@ def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> Sta
     The clone's error holds the time offset's: the pose is that of t_cam + offset, so it moves by
     (ω, v)·δoffset (M. Li & A. Mourikis, IJRR 2014). `angular_velocity` (3,): body rates, rad/s.
     """
-    n = len(state.covariance)
+    n, at = len(state.covariance), state.first_landmark
     J = np.zeros((6, n))
     J[:3, THETA] = J[3:, POSITION] = np.eye(3)
     J[:3, TIME_OFFSET] = angular_velocity
     J[3:, TIME_OFFSET] = state.imu.velocity
-    cross = J @ state.covariance
-    P = np.empty((n + 6, n + 6))
-    P[:n, :n] = state.covariance
-    P[n:, :n], P[:n, n:] = cross, cross.T
-    P[n:, n:] = cross @ J.T
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = state.imu.R_world_imu, state.imu.position
+    # the clone comes after the others, before the landmarks
+    G = np.concatenate([np.eye(n)[:at], J, np.eye(n)[at:]])
+    T = pose_matrix(state.imu)
     clones = Clones(
         np.append(state.clones.timestamp_ns, frame_ns),
         np.concatenate([state.clones.T_world_imu, T[None]]),
         np.concatenate([state.clones.T_world_imu_first, T[None]]),
     )
-    return replace(state, clones=clones, covariance=P)
+    return replace(state, clones=clones, covariance=G @ state.covariance @ G.T)
 
 
 def _chain(R_start: FloatArray, steps: FloatArray) -> FloatArray:
@@ -215,6 +242,26 @@ def _interval_matrices(
     Q[:, GYRO_BIAS, GYRO_BIAS] = noise.gyro_walk**2 * h * eye
     Q[:, ACCEL_BIAS, ACCEL_BIAS] = noise.accel_walk**2 * h * eye
     return F, Q
+
+
+def _calibrated(
+    F: FloatArray, samples: ImuData, bias: tuple[FloatArray, FloatArray], calibration: Calibration
+) -> FloatArray:
+    """Columns (n, 15, C) of the calibration; in place, F's bias columns for an IMU with intrinsics.
+
+    Each pair's motion depends on its mean rate and force, which F holds as minus its bias columns.
+    """
+    if imu_intrinsics(calibration) is None:
+        return np.zeros((len(F), N_IMU, len(calibration)))
+    rate, force = (0.5 * (x[:-1] + x[1:]) for x in (samples.gyro, samples.accel))
+    by_rate, by_force = imu_sensitivity(rate, force, bias, calibration)
+    moving = slice(THETA.start, VELOCITY.stop)
+    F_rate, F_force = -F[:, moving, GYRO_BIAS], -F[:, moving, ACCEL_BIAS]
+    columns = F_rate @ by_rate + F_force @ by_force
+    F[:, moving, GYRO_BIAS.start : ACCEL_BIAS.stop] = columns[..., :6]
+    out = np.zeros((len(F), N_IMU, len(calibration)))
+    out[:, moving] = columns[..., 6:]
+    return out
 
 
 def _with_first_estimates(

@@ -10,7 +10,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.errors import DatasetError
 from ovmot.imu_buffer import ImuBuffer
-from ovmot.msckf.ego import FilterEgo
+from ovmot.msckf.ego import FilterEgo, with_estimated_parts
 from ovmot.msckf.start_at_rest import StartPrior, rest_failure, start_at_rest
 from ovmot.msckf.start_in_motion import CannotStart, start_in_motion
 from ovmot.msckf.state import State
@@ -50,16 +50,20 @@ class FilterStart:
         try:
             resting = self._at_rest(frames, imu)
             if isinstance(resting, State):
-                return FilterEgo(resting, self.rig, self.noise, self.settings)
+                return self._filter(resting)
             reason = f"not at rest: {resting}"
             window_s = self.settings.initialization.motion_window_s
             if self._span_s(frames) < window_s:
                 return f"{reason}; in motion: needs {window_s:g} s of frames"
             moving = self._in_motion(frames, imu)
-            return FilterEgo(moving, self.rig, self.noise, self.settings)
+            return self._filter(moving)
         except (CannotStart, DatasetError, np.linalg.LinAlgError) as error:
             reason = f"{reason}; in motion: {error}"
         return reason
+
+    def _filter(self, state: State) -> FilterEgo:
+        state = with_estimated_parts(state, self.rig, self.settings)
+        return FilterEgo(state, self.rig, self.noise, self.settings)
 
     def _at_rest(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State | str:
         settings = self.settings.initialization

@@ -9,8 +9,8 @@ from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.msckf.state import (
     ACCEL_BIAS,
-    FIRST_CLONE,
     GYRO_BIAS,
+    N_BASE,
     POSITION,
     THETA,
     TIME_OFFSET,
@@ -67,7 +67,7 @@ def start_at_rest(imu: ImuData, noise: ImuNoise, prior: StartPrior) -> State:
     zero = np.zeros(3)
     state = ImuState(R_world_imu, zero, zero, rate, zero)
     up_body = R_world_imu.T @ np.array([0.0, 0.0, 1.0])
-    P = np.zeros((FIRST_CLONE, FIRST_CLONE))
+    P = np.zeros((N_BASE, N_BASE))
     tilt = np.eye(3) - np.outer(up_body, up_body)
     P[THETA, THETA] = _TILT_SIGMA**2 * tilt + GAUGE_SIGMA**2 * np.outer(up_body, up_body)
     P[POSITION, POSITION] = GAUGE_SIGMA**2 * np.eye(3)

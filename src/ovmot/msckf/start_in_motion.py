@@ -21,8 +21,8 @@ from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
 from ovmot.msckf.start_at_rest import GAUGE_SIGMA, StartPrior
 from ovmot.msckf.state import (
     ACCEL_BIAS,
-    FIRST_CLONE,
     GYRO_BIAS,
+    N_BASE,
     N_IMU,
     POSITION,
     THETA,
@@ -125,7 +125,7 @@ def _integrate_from_start(
     out: list[Propagation] = []
     for samples in imu:
         step = propagate_imu(state, state, samples, noise, 0.0, integrate_rk4)
-        state, transition = step.imu, step.transition @ transition
+        state, transition = step.imu, step.transition[:, :N_IMU] @ transition
         out.append(replace(step, transition=transition))
     return out
 
@@ -208,7 +208,7 @@ def _state_at_start(
     yaw = np.arctan2(R[1, 0], R[0, 0])
     R = so3.exp(np.array([0.0, 0.0, -yaw])) @ R
     imu = ImuState(R, np.zeros(3), R @ fit.velocity, gyro_bias, fit.accel_bias)
-    J = np.zeros((FIRST_CLONE, 8))
+    J = np.zeros((N_BASE, 8))
     J[THETA, :2] = -fit.basis
     J[VELOCITY, :2] = R @ so3.hat(fit.velocity) @ fit.basis
     J[VELOCITY, 2:5] = R

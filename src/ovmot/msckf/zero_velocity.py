@@ -9,7 +9,7 @@ import numpy as np
 from ovmot.config import ZeroVelocitySettings
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.msckf.state import VELOCITY, State, clone_columns
+from ovmot.msckf.state import VELOCITY, State
 from ovmot.msckf.update import chi2_bound, ekf_update, innovation_distance
 
 _PREDICTION_SLACK = 3.0  # the prediction's covariance is optimistic; ask for agreement within this
@@ -24,8 +24,8 @@ def standing_measurement(
     R_relative = T_before[:3, :3].T @ T_now[:3, :3]
     columns = np.r_[
         np.arange(VELOCITY.start, VELOCITY.stop),
-        np.arange(*clone_columns(before).indices(len(state.covariance))),
-        np.arange(*clone_columns(now).indices(len(state.covariance))),
+        np.arange(*state.clone_columns(before).indices(len(state.covariance))),
+        np.arange(*state.clone_columns(now).indices(len(state.covariance))),
     ]
     H = np.zeros((9, 15))
     H[:3, :3] = np.eye(3)

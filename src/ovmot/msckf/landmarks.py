@@ -1,0 +1,197 @@
+"""Landmarks kept in the state: their coordinates, each one's way to a point and its derivatives.
+
+Coordinates are those of the world, or of an anchor: a clone, with axes and origin of the left
+camera as the calibration file has them, so that the calibration that is estimated does not enter.
+The inverse-depth forms are those of J. Montiel et al. (RSS 2006) and of A. Mourikis and
+S. Roumeliotis (ICRA 2007).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+
+NO_ANCHOR = -1
+
+
+class Coordinates(Protocol):
+    """A way to write a point as three numbers, of which the last `size` are estimated."""
+
+    size: int
+
+    def from_point(self, point: FloatArray) -> FloatArray:
+        """Values (..., 3) of points (..., 3)."""
+        ...
+
+    def to_point(self, value: FloatArray) -> FloatArray:
+        """Points (..., 3) of values (..., 3)."""
+        ...
+
+    def jacobian(self, value: FloatArray) -> FloatArray:
+        """∂point/∂value (..., 3, 3), the columns that are not estimated included."""
+        ...
+
+
+class Euclidean:
+    """x, y, z."""
+
+    size = 3
+
+    def from_point(self, point: FloatArray) -> FloatArray:
+        return point.copy()
+
+    def to_point(self, value: FloatArray) -> FloatArray:
+        return value.copy()
+
+    def jacobian(self, value: FloatArray) -> FloatArray:
+        return np.broadcast_to(np.eye(3), (*value.shape, 3)).copy()
+
+
+class SphericalInverseDepth:
+    """Azimuth θ, elevation φ and inverse distance ρ: p = R (cosφ cosθ, cosφ sinθ, sinφ) / ρ.
+
+    `R` (3, 3) has the axes ahead, left and up as its columns; straight up θ is not defined.
+    """
+
+    size = 3
+
+    def __init__(self, R: FloatArray) -> None:
+        self._R = R
+
+    def from_point(self, point: FloatArray) -> FloatArray:
+        ray = point @ self._R
+        distance = np.linalg.norm(ray, axis=-1)
+        azimuth = np.arctan2(ray[..., 1], ray[..., 0])
+        return np.stack([azimuth, np.arcsin(ray[..., 2] / distance), 1.0 / distance], axis=-1)
+
+    def to_point(self, value: FloatArray) -> FloatArray:
+        return np.asarray(self._ray(value) @ self._R.T / value[..., 2:])
+
+    def jacobian(self, value: FloatArray) -> FloatArray:
+        theta, phi, rho = value[..., 0], value[..., 1], value[..., 2:]
+        zero = np.zeros_like(theta)
+        by_theta = np.stack([-np.cos(phi) * np.sin(theta), np.cos(phi) * np.cos(theta), zero], -1)
+        by_phi = np.stack(
+            [-np.sin(phi) * np.cos(theta), -np.sin(phi) * np.sin(theta), np.cos(phi)], axis=-1
+        )
+        columns = [by_theta / rho, by_phi / rho, -self._ray(value) / rho**2]
+        return np.asarray(self._R @ np.stack(columns, axis=-1))
+
+    def _ray(self, value: FloatArray) -> FloatArray:
+        theta, phi = value[..., 0], value[..., 1]
+        return np.stack([np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta), np.sin(phi)], -1)
+
+
+class PlaneInverseDepth:
+    """x/z, y/z, 1/z: p = (α, β, 1) / ρ."""
+
+    size = 3
+
+    def from_point(self, point: FloatArray) -> FloatArray:
+        return np.concatenate([point[..., :2], np.ones_like(point[..., 2:])], -1) / point[..., 2:]
+
+    def to_point(self, value: FloatArray) -> FloatArray:
+        return self._ray(value) / value[..., 2:]
+
+    def jacobian(self, value: FloatArray) -> FloatArray:
+        rho = value[..., 2:, None]
+        J = np.broadcast_to(np.eye(3), (*value.shape, 3)) / rho
+        J[..., 2] = -self._ray(value) / value[..., 2:] ** 2
+        return J
+
+    def _ray(self, value: FloatArray) -> FloatArray:
+        return np.concatenate([value[..., :2], np.ones_like(value[..., 2:])], axis=-1)
+
+
+class SingleInverseDepth(PlaneInverseDepth):
+    """1/z alone is estimated; the bearing stays as first seen, its error is projected out."""
+
+    size = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Representation:
+    """What landmarks are written in, and whether that is relative to an anchor."""
+
+    coordinates: Coordinates
+    anchored: bool
+
+
+_WORLD_AXES = np.eye(3)
+_CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+REPRESENTATIONS: dict[str, Representation] = {
+    "global_xyz": Representation(Euclidean(), anchored=False),
+    "global_inverse_depth": Representation(SphericalInverseDepth(_WORLD_AXES), anchored=False),
+    "anchored_xyz": Representation(Euclidean(), anchored=True),
+    "anchored_inverse_depth": Representation(SphericalInverseDepth(_CAMERA_AXES), anchored=True),
+    "anchored_msckf_inverse_depth": Representation(PlaneInverseDepth(), anchored=True),
+    "anchored_single_inverse_depth": Representation(SingleInverseDepth(), anchored=True),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """L landmarks: the tracker's ids (L,), values (L, 3) and first estimates of these.
+
+    `anchor_ns` (L,): the stamp of the clone they are relative to, `NO_ANCHOR` for those of the
+    world. `refused` (L,): how many updates in a row a gate refused.
+    """
+
+    representation: Representation
+    feature_id: IntArray
+    value: FloatArray
+    first: FloatArray
+    anchor_ns: IntArray
+    refused: IntArray
+
+    def __len__(self) -> int:
+        return len(self.feature_id)
+
+    @property
+    def size(self) -> int:
+        """Error coordinates of each."""
+        return self.representation.coordinates.size
+
+    def moved(self, error: FloatArray) -> "Landmarks":
+        """With an error vector (L * size,) added; first estimates stay."""
+        if not len(self):
+            return self
+        value = self.value.copy()
+        value[:, 3 - self.size :] += error.reshape(len(self), self.size)
+        return replace(self, value=value)
+
+    def minus(self, reference: "Landmarks") -> FloatArray:
+        """The error vector (L * size,) from the reference to these."""
+        return np.ravel((self.value - reference.value)[:, 3 - self.size :])
+
+    def rows(self, kept: BoolArray | IntArray) -> "Landmarks":
+        """Some of them."""
+        return replace(
+            self,
+            feature_id=self.feature_id[kept],
+            value=self.value[kept],
+            first=self.first[kept],
+            anchor_ns=self.anchor_ns[kept],
+            refused=self.refused[kept],
+        )
+
+    def joined(self, others: "Landmarks") -> "Landmarks":
+        """These, and others after them."""
+        return replace(
+            self,
+            feature_id=np.concatenate([self.feature_id, others.feature_id]),
+            value=np.concatenate([self.value, others.value]),
+            first=np.concatenate([self.first, others.first]),
+            anchor_ns=np.concatenate([self.anchor_ns, others.anchor_ns]),
+            refused=np.concatenate([self.refused, others.refused]),
+        )
+
+
+def no_landmarks(representation: str = "global_xyz") -> Landmarks:
+    """None yet, to be written in the representation of that name."""
+    ids = np.empty(0, dtype=np.int64)
+    none = np.empty((0, 3))
+    return Landmarks(REPRESENTATIONS[representation], ids, none, none, ids, ids)

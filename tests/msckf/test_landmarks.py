@@ -1,0 +1,236 @@
+"""Landmarks in the state: their coordinates, Jacobians, late start and changes of anchor."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import CalibrationSettings
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.msckf.calibration import calibrated_rig, make_calibration
+from ovmot.msckf.features import linearize, project_nullspace
+from ovmot.msckf.landmarks import NO_ANCHOR, REPRESENTATIONS, Landmarks, no_landmarks
+from ovmot.msckf.slam import (
+    add_landmarks,
+    change_anchor,
+    landmark_points,
+    landmark_system,
+    update_landmarks,
+)
+from ovmot.msckf.state import N_BASE, State, box_minus, box_plus, drop_landmarks
+from ovmot.msckf.update import ekf_update
+
+Derivative = Callable[..., FloatArray]
+MakeState = Callable[..., State]
+every_representation = pytest.mark.parametrize("name", list(REPRESENTATIONS))
+SIGMA_PX = 0.8
+AHEAD = np.array([[6.0, 1.0, 0.4], [9.0, -2.0, 1.0], [14.0, 3.0, -0.6], [5.0, 0.3, 0.2]])
+"""Points in the frame of an IMU that looks along x."""
+ALL = CalibrationSettings(extrinsics=True, intrinsics=True, imu_intrinsics=True, g_sensitivity=True)
+
+
+@pytest.fixture
+def scene(
+    make_state: MakeState, make_rig: Callable[[str], StereoRig]
+) -> Callable[..., tuple[State, StereoRig]]:
+    """A function (representation, calibrated) to a state with four landmarks ahead, and its rig."""
+
+    def make(name: str, *, calibrated: bool = False, n_clones: int = 4) -> tuple[State, StereoRig]:
+        rng = np.random.default_rng(7)
+        state, rig = make_state(rng, n_clones), make_rig("radtan")
+        twists = rng.normal(0.0, 0.02, (n_clones, 6))
+        poses = state.clones.T_world_imu[0] @ se3.exp(twists)
+        state = replace(
+            state, clones=replace(state.clones, T_world_imu=poses, T_world_imu_first=poses)
+        )
+        if calibrated:
+            calibration, variance = make_calibration(rig, ALL)
+            deviation = np.sqrt(variance) * rng.normal(0.0, 0.3, len(variance))
+            state = replace(state, calibration=replace(calibration, deviation=deviation))
+        landmarks = placed(no_landmarks(name), state, rig, poses[0])
+        state = replace(state, landmarks=landmarks)
+        n = state.first_landmark + landmarks.size * len(landmarks)
+        A = 1e-3 * rng.normal(size=(n, n))
+        return replace(state, covariance=A @ A.T + 1e-8 * np.eye(n)), rig
+
+    return make
+
+
+def placed(none: Landmarks, state: State, rig: StereoRig, T_world_imu: FloatArray) -> Landmarks:
+    """Landmarks at the points ahead, those with anchors at the first and the second clone."""
+    p_world = se3.apply(T_world_imu, AHEAD)
+    anchored, coordinates = none.representation.anchored, none.representation.coordinates
+    index = np.array([0, 1, 0, 1])
+    if anchored:
+        T = state.clones.T_world_imu[index] @ rig.T_imu_cam0
+        p_world = se3.apply(se3.inverse(T), p_world[:, None])[:, 0]
+    anchor = state.clones.timestamp_ns[index] if anchored else np.full(4, NO_ANCHOR)
+    value = coordinates.from_point(p_world)
+    ids = np.arange(4, dtype=np.int64)
+    return Landmarks(none.representation, ids, value, value, anchor, np.zeros_like(ids))
+
+
+def views_of(state: State, rig: StereoRig, points: FloatArray) -> FloatArray:
+    """Exact pixels (F, K, 4) of points (F, 3) from all clones, by the calibrated rig."""
+    now = calibrated_rig(rig, state.calibration)
+    p_imu = se3.apply(se3.inverse(state.clones.T_world_imu)[None], points[:, None])
+    return np.concatenate(
+        [
+            camera.project(se3.apply(se3.inverse(T), p_imu))
+            for camera, T in zip(now.cameras, (now.T_imu_cam0, now.T_imu_cam1), strict=True)
+        ],
+        axis=-1,
+    )
+
+
+def points_of(state: State, rig: StereoRig) -> FloatArray:
+    return landmark_points(state.landmarks, state.clones, rig.T_imu_cam0, first=False).p_world
+
+
+@every_representation
+def test_coordinates_come_back(name: str, central_differences: Derivative) -> None:
+    coordinates = REPRESENTATIONS[name].coordinates
+    points = np.random.default_rng(1).uniform([-4.0, -3.0, 2.0], [4.0, 3.0, 20.0], (20, 3))
+    values = coordinates.from_point(points)
+    np.testing.assert_allclose(coordinates.to_point(values), points, atol=1e-12)
+    for value in values:
+        J = central_differences(coordinates.to_point, value)
+        np.testing.assert_allclose(coordinates.jacobian(value), J, rtol=1e-6, atol=1e-5)
+
+
+@every_representation
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_jacobians_of_a_view_are_the_derivatives(
+    name: str, calibrated: bool, scene: Callable[..., tuple[State, StereoRig]],
+    central_differences: Derivative,
+) -> None:  # fmt: skip
+    state, rig = scene(name, calibrated=calibrated)
+    pixels = views_of(state, rig, points_of(state, rig))[:, -1]
+    assert np.isfinite(pixels).all()
+    size = state.landmarks.size
+
+    def residual(error: FloatArray) -> FloatArray:
+        full = np.concatenate([np.zeros(N_BASE), error])
+        moved = box_plus(state, full)
+        now = calibrated_rig(rig, moved.calibration)
+        as_xyz = points_of(moved, rig)
+        p_imu = se3.apply(se3.inverse(moved.clones.T_world_imu[-1]), as_xyz)
+        seen = [
+            camera.project(se3.apply(se3.inverse(T), p_imu))
+            for camera, T in zip(now.cameras, (now.T_imu_cam0, now.T_imu_cam1), strict=True)
+        ]
+        return np.asarray((pixels - np.concatenate(seen, axis=-1)) / SIGMA_PX).ravel()
+
+    n = len(state.covariance) - N_BASE
+    expected = -central_differences(residual, np.zeros(n)).reshape(len(pixels), 4, n)
+    now = calibrated_rig(rig, state.calibration)
+    H, r, rows = landmark_system(state, now, rig.T_imu_cam0, pixels, SIGMA_PX)
+    np.testing.assert_allclose(r, 0.0, atol=1e-6)
+    scale = np.abs(expected).max()
+    if size == 3:
+        np.testing.assert_array_equal(rows, 4)
+        np.testing.assert_allclose(H, expected, atol=1e-6 * scale)
+    else:  # the bearing is projected out: the same information is left
+        np.testing.assert_array_equal(rows, 2)
+        assert np.linalg.norm(H, axis=(1, 2)).min() > 1.0
+        for k in range(len(H)):
+            # every row of H is a combination of the derivative's rows
+            coefficients = np.linalg.lstsq(expected[k].T, H[k].T, rcond=None)[0]
+            np.testing.assert_allclose(
+                expected[k].T @ coefficients, H[k].T, atol=1e-5 * np.abs(H[k]).max()
+            )
+
+
+@every_representation
+def test_box_minus_undoes_box_plus_with_landmarks(
+    name: str, scene: Callable[..., tuple[State, StereoRig]]
+) -> None:
+    state, _ = scene(name, calibrated=True)
+    error = np.random.default_rng(2).uniform(-0.01, 0.01, len(state.covariance))
+    np.testing.assert_allclose(box_minus(box_plus(state, error), state), error, atol=1e-12)
+
+
+@every_representation
+def test_another_anchor_is_the_same_point_with_the_same_uncertainty(
+    name: str, scene: Callable[..., tuple[State, StereoRig]], central_differences: Derivative
+) -> None:
+    state, rig = scene(name)
+    stamps = state.clones.timestamp_ns
+    changed = change_anchor(state, int(stamps[0]), int(stamps[-1]), rig.T_imu_cam0)
+    np.testing.assert_allclose(points_of(changed, rig), points_of(state, rig), atol=1e-9)
+    if not state.landmarks.representation.anchored:
+        assert changed is state
+        return
+    assert stamps[0] not in changed.landmarks.anchor_ns
+
+    def uncertainty(s: State) -> FloatArray:
+        n = len(s.covariance)
+        J = central_differences(lambda e: points_of(box_plus(s, e), rig).ravel(), np.zeros(n), 1e-5)
+        return np.asarray(J @ s.covariance @ J.T)
+
+    before, after = uncertainty(state), uncertainty(changed)
+    if state.landmarks.size == 3:
+        np.testing.assert_allclose(after, before, atol=1e-4 * np.abs(before).max())
+    np.testing.assert_allclose(changed.covariance, changed.covariance.T, atol=1e-15)
+    kept = slice(0, state.first_landmark)
+    np.testing.assert_array_equal(changed.covariance[kept, kept], state.covariance[kept, kept])
+
+
+@pytest.mark.parametrize("name", [n for n in REPRESENTATIONS if "single" not in n])
+def test_a_late_start_updates_as_the_feature_alone_would(
+    name: str, make_state: MakeState, rig: StereoRig
+) -> None:
+    """To take a feature in, or to project it out, teaches the clones the same."""
+    rng = np.random.default_rng(3)
+    state = make_state(rng, 5)
+    poses = state.clones.T_world_imu[0] @ se3.exp(rng.normal(0.0, 0.05, (5, 6)))
+    clones = replace(state.clones, T_world_imu=poses, T_world_imu_first=poses)
+    state = replace(state, clones=clones, covariance=1e-4 * state.covariance)
+    state = replace(state, landmarks=no_landmarks(name))
+    point = se3.apply(poses[0], AHEAD[:1])
+    pixels = views_of(state, rig, point) + rng.normal(0.0, 0.3, (1, 5, 4))
+    system = linearize(state, rig, pixels, point, SIGMA_PX)
+    H, r = project_nullspace(system)
+    columns = np.arange(N_BASE, len(state.covariance))
+    expected = ekf_update(state, H[0], columns, r[0], np.ones(len(r[0])))
+    joined = add_landmarks(state, system, np.array([12]), point, rig.T_imu_cam0, 1e3)
+    assert joined.landmarks.feature_id.tolist() == [12]
+    n = len(state.covariance)
+    np.testing.assert_allclose(joined.covariance[:n, :n], expected.covariance, atol=1e-12)
+    alone = drop_landmarks(joined, np.ones(1, dtype=np.bool_))
+    np.testing.assert_allclose(box_minus(alone, expected), 0.0, atol=1e-6)
+    assert np.linalg.eigvalsh(joined.covariance).min() > 0.0
+
+
+@every_representation
+def test_views_make_a_landmark_surer_and_a_wrong_one_is_refused(
+    name: str, scene: Callable[..., tuple[State, StereoRig]]
+) -> None:
+    state, rig = scene(name)
+    pixels = views_of(state, rig, points_of(state, rig))[:, -1]
+    pixels[3] += 40.0
+    pixels[2, 2:] = np.nan
+    seen = update_landmarks(state, rig, rig.T_imu_cam0, pixels, SIGMA_PX, 1.0)
+    assert seen.landmarks.refused.tolist() == [0, 0, 0, 1]
+    start = state.first_landmark
+    before, after = np.diag(state.covariance)[start:], np.diag(seen.covariance)[start:]
+    assert after.sum() < before.sum()
+    unseen = update_landmarks(state, rig, rig.T_imu_cam0, np.full((4, 4), np.nan), SIGMA_PX, 1.0)
+    assert unseen is state
+
+
+def test_first_estimates_stay_where_they_were(
+    scene: Callable[..., tuple[State, StereoRig]],
+) -> None:
+    """The Jacobian after an update is that before it, though landmark and poses have moved."""
+    state, rig = scene("anchored_msckf_inverse_depth")
+    pixels = views_of(state, rig, points_of(state, rig))[:, -1]
+    error = np.random.default_rng(5).normal(0.0, 3e-3, len(state.covariance))
+    moved = box_plus(state, error)
+    before, _, _ = landmark_system(state, rig, rig.T_imu_cam0, pixels, SIGMA_PX)
+    after, r, _ = landmark_system(moved, rig, rig.T_imu_cam0, pixels, SIGMA_PX)
+    np.testing.assert_array_equal(after, before)
+    assert np.abs(r).max() > 0.5
