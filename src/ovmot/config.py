@@ -86,6 +86,8 @@ class FilterSettings(Section):
     """Features used in one update; those seen longest come first."""
     max_landmarks: int = Field(25, ge=0, le=500)
     """Features kept in the state as landmarks, those that outlive the window; 0 for none."""
+    landmark_pixel_sigma: float = Field(4.0, gt=0.0)
+    """The same of a landmark, pixels: a patch that slid stays so, its errors do not average out."""
     landmark_representation: Literal[
         "global_xyz", "global_inverse_depth", "anchored_xyz", "anchored_inverse_depth",
         "anchored_msckf_inverse_depth", "anchored_single_inverse_depth",

@@ -127,7 +127,7 @@ def _correct_with_landmarks(
     pixels = table.pixels[-1, column]
     pixels[table.suspect[column]] = np.nan
     state = update_landmarks(
-        state, rig, T_imu_anchor, pixels, settings.pixel_sigma, settings.chi2_multiplier
+        state, rig, T_imu_anchor, pixels, settings.landmark_pixel_sigma, settings.chi2_multiplier
     )
     spent = np.zeros_like(table.used)
     spent[-1, column] = True
