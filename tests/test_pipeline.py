@@ -24,6 +24,7 @@ from ovmot.tracks import TrackTable
 from ovmot.types import (
     Event,
     FrameResult,
+    Health,
     ImuNoise,
     ImuSample,
     PointLabel,
@@ -455,3 +456,43 @@ def test_where_most_seems_to_move_nothing_is_barred_for_good(
 def replace_settings(**initialization: float) -> Settings:
     changed = SETTINGS.initialization.model_copy(update=initialization)
     return SETTINGS.model_copy(update={"initialization": changed})
+
+
+def test_a_lost_filter_starts_again_where_it_was(
+    painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the twelfth frame the filter says that it is lost: the next segment begins at its pose."""
+    frames = frames_of(painted_pair, 12)
+    stand = [replace(frames[-1], timestamp_ns=ORIGIN_NS + 10**8 * i) for i in range(12, 34)]
+    imu = imu_of(1.3)
+    rng = np.random.default_rng(4)
+    still = [
+        ImuSample(
+            ORIGIN_NS + 5_000_000 * k,
+            rng.normal(0.0, 1e-3, 3),
+            np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, 3),
+        )
+        for k in range(round(200 * 1.3) + 1, 200 * 4)
+    ]
+    lost_ns = frames[11].timestamp_ns
+    true_health = FilterEgo.health
+    monkeypatch.setattr(
+        FilterEgo,
+        "health",
+        lambda ego, ns: Health.LOST if ns == lost_ns else true_health(ego, ns),
+    )
+    pipeline = with_filter(painted_rig)
+    results = run(pipeline, merged([*frames, *stand], [*imu, *still]))
+    lost = next(r for r in results if r.timestamp_ns == lost_ns)
+    after = [r for r in results if r.timestamp_ns > lost_ns]
+    assert lost.ego.health == Health.LOST
+    assert lost.segment == 0
+    assert len(after) > 5
+    assert {r.segment for r in after} == {1}
+    assert {r.ego.health for r in after} == {Health.TRACKING}
+    np.testing.assert_allclose(
+        after[0].ego.T_world_imu[:3, 3], lost.ego.T_world_imu[:3, 3], atol=0.02
+    )
+    assert pipeline.counts["resets"] == pipeline.counts["frames_lost"] == 1
+    assert pipeline.latest() is not None
+    assert len({r.timestamp_ns for r in results}) == len(results)

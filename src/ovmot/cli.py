@@ -101,6 +101,9 @@ def run(
             help="Ego motion from a file (TUM, EuRoC or KITTI form), not the filter.",
         ),
     ] = None,
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks: cam0.png, cam1.png, cam0/<ns>.png, ...")
+    ] = None,
     save_points: Annotated[
         bool, typer.Option("--save-points", help="Write points.csv and stereo.csv.")
     ] = False,
@@ -117,7 +120,7 @@ def run(
     recorded = open_sequence(data, format, sequence, calibration, settings.imu.max_gap_s)
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
-    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last)
+    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks)
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with (
         _interruptible("what was done until here is written whole"),

@@ -56,6 +56,8 @@ class TrackerSettings(Section):
     """Side of the patch that optical flow compares."""
     klt_levels: int = Field(4, ge=1, le=8)
     """Levels of the image pyramid."""
+    cameras: Literal["stereo", "left"] = "stereo"
+    """Match both cameras, or use the left one alone; nothing can be found to move then."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
     """Epipolar distance that the robust test between consecutive left images tolerates."""
 
@@ -168,6 +170,19 @@ class InitializationSettings(Section):
     """At rest, at least this share of the points stands still."""
 
 
+class HealthSettings(Section):
+    """When the filter is not to be trusted any more."""
+
+    degraded_after_s: float = Field(0.5, gt=0.0)
+    """Without a visual update or a standstill for this long, the ego motion is called degraded."""
+    lost_after_s: float = Field(5.0, gt=0.0)
+    """After this long it is called lost."""
+    lost_velocity_sigma_mps: float = Field(3.0, gt=0.0)
+    """It is called lost as well where the velocity is less sure than this."""
+    reset: bool = True
+    """Start again where the ego motion is lost; a new segment begins."""
+
+
 class GivenEgoSettings(Section):
     """Ego motion from a pose file: how far each pose is trusted."""
 
@@ -239,6 +254,7 @@ class Settings(Section):
     imu: ImuSettings = ImuSettings()
     initialization: InitializationSettings = InitializationSettings()
     zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()
+    health: HealthSettings = HealthSettings()
     given_ego: GivenEgoSettings = GivenEgoSettings()
     split: SplitSettings = SplitSettings()
 

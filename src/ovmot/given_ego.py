@@ -12,7 +12,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.tracks import TrackTable, keep_window
-from ovmot.types import EgoEstimate, FrontendFrame, PoseWindow
+from ovmot.types import EgoEstimate, FrontendFrame, Health, PoseWindow
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +60,22 @@ class GivenEgo:
         sigma = self._sigma()
         covariance = np.diag(np.tile(sigma**2, len(poses)))
         return PoseWindow(np.array(self.window_ns, dtype=np.int64), poses, covariance)
+
+    def calibrated_rig(self) -> StereoRig:
+        """The rig as the files have it."""
+        return self.rig
+
+    def health(self, frame_ns: int) -> Health:
+        """Given poses are taken as they are."""
+        return Health.TRACKING
+
+    def placed(self, T_world_imu: FloatArray) -> "GivenEgo":
+        """Given poses have their place."""
+        return self
+
+    def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
+        """The newest pose: nothing is known between the given ones."""
+        return self.estimate(self.window_ns[-1])
 
     def estimate(self, frame_ns: int) -> EgoEstimate:
         """The pose of the newest frame, for the outputs."""

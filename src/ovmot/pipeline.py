@@ -22,6 +22,7 @@ from ovmot.types import (
     FeatureFrame,
     FrameResult,
     FrontendFrame,
+    Health,
     ImuSample,
     PointLabel,
     PoseWindow,
@@ -44,6 +45,10 @@ class FrontEnd(Protocol):
 
         `T_now_before` (4, 4): predicted motion of the left camera since the last frame.
         """
+        ...
+
+    def calibrate(self, rig: StereoRig) -> None:
+        """From now on the rig is calibrated like this."""
         ...
 
     def close(self) -> None:
@@ -78,8 +83,24 @@ class Ego(Protocol):
         """The poses of the window and their covariance."""
         ...
 
+    def calibrated_rig(self) -> StereoRig:
+        """The rig as it is calibrated now."""
+        ...
+
     def estimate(self, frame_ns: int) -> EgoEstimate:
         """The state at the newest frame."""
+        ...
+
+    def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
+        """The state carried to a time on the IMU's clock."""
+        ...
+
+    def health(self, frame_ns: int) -> Health:
+        """How far it can be trusted at the newest frame."""
+        ...
+
+    def placed(self, T_world_imu: FloatArray) -> Self:
+        """The same source, which has just started, at a given position and heading."""
         ...
 
 
@@ -121,9 +142,12 @@ class Pipeline:
         self._waiting: deque[StereoFrame | FeatureFrame] = deque()
         self._pending: deque[FrontendFrame] = deque()
         self._last_frame_ns: int | None = None
+        self._resume_at: FloatArray | None = None
         self.not_started_because = "no frame was seen"
         self.dropped = 0
-        self.counts: Counter[str] = Counter(resets=0, frames_mostly_moving=0)
+        self.counts: Counter[str] = Counter(
+            resets=0, frames_mostly_moving=0, frames_degraded=0, frames_lost=0
+        )
 
     def feed(self, event: Event) -> list[FrameResult]:
         """Take one IMU sample or frame; give the results that it made possible.
@@ -154,7 +178,9 @@ class Pipeline:
             ego = self._ego.predict(frame.timestamp_ns, self._imu)
         # 2 match: follow, match left to right, check every pair by the extrinsics
         with watch.stage("match"):
-            seen, matches = self._frontend.track(frame, camera_motion(ego.window(), self._rig))
+            rig = ego.calibrated_rig()
+            self._frontend.calibrate(rig)
+            seen, matches = self._frontend.track(frame, camera_motion(ego.window(), rig))
         # 3 split: what the predicted motion does not explain leaves the filter with its history
         with watch.stage("split"):
             table, split = self._split(append_frame(self._table, seen), seen, ego)
@@ -166,14 +192,24 @@ class Pipeline:
         with watch.stage("forget"):
             self._ego, self._table = ego.forget(table)
             self._forget_imu(self._ego.imu_time_ns(frame.timestamp_ns))
-        return FrameResult(
+        result = FrameResult(
             frame=frame,
             ego=self._ego.estimate(frame.timestamp_ns),
             points=split.points,
             matches=matches,
             tracks=(),
             milliseconds=watch.milliseconds,
+            segment=self.counts["resets"],
         )
+        self._watch_health(result.ego)
+        return result
+
+    def latest(self) -> EgoEstimate | None:
+        """The state carried to the newest IMU sample, between frames; None without a start."""
+        newest = self._imu.last_ns
+        if self._ego is None or newest is None:
+            return None
+        return self._ego.estimate_at(newest, self._imu)
 
     def close(self) -> None:
         """Stop worker threads and count the frames that the IMU never covered."""
@@ -183,7 +219,8 @@ class Pipeline:
 
     def _split(self, table: TrackTable, seen: FrontendFrame, ego: Ego) -> tuple[TrackTable, Split]:
         """The table with dynamic features barred and suspects marked, and the split itself."""
-        split = split_points(table, seen, ego.window(), self._rig, self._settings.split)
+        rig = ego.calibrated_rig()
+        split = split_points(table, seen, ego.window(), rig, self._settings.split)
         points = split.points
         if split.plausible:
             dynamic = points.label == int(PointLabel.DYNAMIC)
@@ -204,6 +241,8 @@ class Pipeline:
                 self.not_started_because = ego
                 self.counts["frames_before_start"] += 1
                 return None
+            if self._resume_at is not None:
+                ego = ego.placed(self._resume_at)
             while self._pending:
                 earlier = self._pending.popleft()
                 ego = ego.predict(earlier.timestamp_ns, self._imu)
@@ -218,7 +257,18 @@ class Pipeline:
             matches=matches,
             tracks=(),
             milliseconds=watch.milliseconds,
+            segment=self.counts["resets"],
         )
+
+    def _watch_health(self, ego: EgoEstimate) -> None:
+        """Count what is not well; where the motion is lost, start again at the last pose."""
+        if ego.health != Health.TRACKING:
+            self.counts[f"frames_{ego.health}"] += 1
+        if ego.health == Health.LOST and self._settings.health.reset:
+            self.counts["resets"] += 1
+            self._resume_at = ego.T_world_imu
+            self._ego, self._table = None, empty_table()
+            self._pending.clear()
 
     def _drop_old_pending(self) -> None:
         """Keep the frames that a start looks at, none older than the IMU, and their samples."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
+from ovmot.datasets.masks import open_masks, with_masks
 from ovmot.datasets.sequence import FolderSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
@@ -38,6 +39,7 @@ class RunOptions:
     force: bool = False
     first: int = 0
     last: int | None = None
+    masks: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +71,13 @@ def run_sequence(
     `on_frame` is called with the number of frames read. An error or Ctrl-C in the middle leaves
     whole rows and a `run.json` that says so, and is raised again.
     """
+    stream = events(sequence, first=options.first, last=options.last)
+    if options.masks is not None:
+        stream = with_masks(stream, open_masks(options.masks, sequence.rig))
     source = _Source(
         name=str(sequence.root),
         rig=sequence.rig,
-        stream=events(sequence, first=options.first, last=options.last),
+        stream=stream,
         start=make_start(sequence, settings, options.ego_poses),
         frontend=None,
         imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
@@ -185,6 +190,7 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
         "ego": "poses" if isinstance(start, GivenStart) else "filter",
         "start": "truth" if isinstance(start, KnownStart) else "found",
         "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
+        "masks": None if options.masks is None else str(options.masks.resolve()),
         "first": options.first,
         "last": options.last,
     }

@@ -5,7 +5,7 @@ integer nanoseconds, everything else in SI units. `T_a_b` maps points of frame b
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
@@ -21,11 +21,16 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class StereoFrame:
-    """One stereo pair of grey images (height, width), both exposed at `timestamp_ns`."""
+    """One stereo pair of grey images (height, width), both exposed at `timestamp_ns`.
+
+    From pixels where a mask (height, width) is not zero, nothing is taken.
+    """
 
     timestamp_ns: int
     left: Image
     right: Image
+    left_mask: Image | None = None
+    right_mask: Image | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +142,14 @@ class ScenePoints:
     two_view_inlier: BoolArray
 
 
+class Health(StrEnum):
+    """How far the ego motion can be trusted: seen, from the IMU alone for a while, or no more."""
+
+    TRACKING = "tracking"
+    DEGRADED = "degraded"
+    LOST = "lost"
+
+
 @dataclass(frozen=True, slots=True)
 class EgoEstimate:
     """Where the rig is at one frame: the IMU's state and its covariance.
@@ -157,6 +170,7 @@ class EgoEstimate:
     time_offset_s: float
     time_offset_std_s: float
     standing: bool
+    health: Health = Health.TRACKING
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +192,10 @@ class ObjectTrack:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """Everything the pipeline says about one stereo frame; `milliseconds` is time per stage."""
+    """Everything the pipeline says about one stereo frame; `milliseconds` is time per stage.
+
+    `segment` counts the resets before: between segments the position may jump.
+    """
 
     frame: StereoFrame | FeatureFrame
     ego: EgoEstimate
@@ -186,6 +203,7 @@ class FrameResult:
     matches: StereoMatches
     tracks: tuple[ObjectTrack, ...]
     milliseconds: dict[str, float]
+    segment: int = 0
 
     @property
     def timestamp_ns(self) -> int:

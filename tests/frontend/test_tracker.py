@@ -13,7 +13,7 @@ from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.frontend import tracker as tracker_module
 from ovmot.frontend.flow import follow
 from ovmot.frontend.tracker import StereoTracker
-from ovmot.geometry import se3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
@@ -289,3 +289,47 @@ def test_wrong_matches_of_any_kind_are_refused(
             wrong = np.isin(matches.feature_id, seen.feature_id[::5])
             assert wrong.sum() > 5
             assert not matches.accepted[wrong].any()
+
+
+def test_nothing_is_taken_from_masked_pixels(painted_rig: StereoRig, painted_pair: Pair) -> None:
+    mask = np.zeros((240, 320), dtype=np.uint8)
+    mask[:, 160:] = 1
+    unmasked_frames = 2
+    with tracker_of(painted_rig) as tracker:
+        for i in range(6):
+            frame = painted_pair(10**8 * i, STEP_M * i, 0.0, 0)
+            if i >= unmasked_frames:
+                frame = replace(frame, left_mask=mask, right_mask=mask[:, ::-1].copy())
+            seen, matches = tracker.track(frame, sideways(STEP_M if i else 0.0))
+            right = seen.pixels[np.isfinite(seen.pixels[:, 2]), 2]
+            if i < unmasked_frames:
+                assert (seen.pixels[:, 0] > 165).any()
+                continue
+            assert len(seen) > 20
+            assert (seen.pixels[:, 0] < 160).all()
+            assert (right > 159).all()
+            assert (matches.pixels[:, 0] < 160).all()
+
+
+def test_the_left_camera_alone(painted_rig: StereoRig, painted_pair: Pair, driven: Seen) -> None:
+    alone = TRACKER.model_copy(update={"cameras": "left"})
+    with tracker_of(painted_rig, alone) as tracker:
+        for i in range(3):
+            frame = painted_pair(10**8 * i, STEP_M * i, 0.0, 0)
+            seen, matches = tracker.track(frame, sideways(STEP_M if i else 0.0))
+    assert len(seen) > 80
+    assert np.isnan(seen.pixels[:, 2:]).all()
+    assert len(matches.feature_id) == 0
+    assert (seen.hops == 2).sum() > 50
+
+
+def test_matches_are_checked_by_the_calibration_of_the_moment(
+    painted_rig: StereoRig, painted_pair: Pair
+) -> None:
+    turned = painted_rig.T_imu_cam1 @ se3.make(so3.exp(np.array([0.05, 0.0, 0.0])), np.zeros(3))
+    with tracker_of(painted_rig) as tracker:
+        _, right = tracker.track(painted_pair(0, 0.0, 0.0, 0), np.eye(4))
+        tracker.calibrate(replace(painted_rig, T_imu_cam1=turned))
+        _, wrong = tracker.track(painted_pair(1, 0.0, 0.0, 0), np.eye(4))
+    assert right.accepted.mean() > 0.9
+    assert wrong.accepted.mean() < 0.1

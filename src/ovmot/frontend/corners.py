@@ -12,17 +12,22 @@ _CELL_EXCESS = 2  # times its even share that a cell may fill: sky leaves others
 
 
 def detect_corners(
-    image: Image, existing: FloatArray, n_wanted: int, settings: TrackerSettings
+    image: Image,
+    existing: FloatArray,
+    n_wanted: int,
+    settings: TrackerSettings,
+    mask: Image | None = None,
 ) -> FloatArray:
     """Up to `n_wanted` new corners (M, 2), strongest first, away from `existing` (N, 2).
 
     E. Rosten & T. Drummond, ECCV 2006. Each grid cell may fill up to twice its even share
-    of `max_features`; no two corners come nearer than `min_distance_px`.
+    of `max_features`; no two corners come nearer than `min_distance_px`. None where `mask` is not
+    zero.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
     detector = cv2.FastFeatureDetector.create(settings.fast_threshold, nonmaxSuppression=True)
-    keypoints = detector.detect(image)
+    keypoints = detector.detect(image, None if mask is None else (mask == 0).astype(np.uint8))
     if not keypoints:
         return np.empty((0, 2))
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)

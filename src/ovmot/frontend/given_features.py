@@ -22,6 +22,10 @@ class GivenFeatures:
         self._epipolar = epipolar
         self._before: FrontendFrame | None = None
 
+    def calibrate(self, rig: StereoRig) -> None:
+        """From now on the rig is calibrated like this."""
+        self._rig = rig
+
     def close(self) -> None:
         """Nothing to stop."""
 

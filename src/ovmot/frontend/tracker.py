@@ -66,6 +66,10 @@ class StereoTracker:
         self._memory: _Memory | None = None
         self._next_id = 0
 
+    def calibrate(self, rig: StereoRig) -> None:
+        """From now on the rig is calibrated like this."""
+        self._rig = rig
+
     def close(self) -> None:
         """Stop the worker threads."""
         self._workers.shutdown()
@@ -83,16 +87,18 @@ class StereoTracker:
             raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
         equalize = EQUALIZERS[self._settings.equalization]
         left, right = self._workers.map(equalize, (frame.left, frame.right))
-        points = self._follow_left(left, T_now_before)
-        points = self._add_corners(left, points)
-        pixels, normalized, matches = self._match_right(left, right, points)
+        points = self._follow_left(left, T_now_before, frame.left_mask)
+        points = self._add_corners(left, points, frame.left_mask)
+        pixels, normalized, matches = self._match_right(left, right, points, frame.right_mask)
         self._memory = _Memory(left, points, normalized)
         seen = FrontendFrame(
             frame.timestamp_ns, points.feature_id, pixels, normalized, points.hops, points.inlier
         )
         return seen, matches
 
-    def _follow_left(self, left: Image, T_now_before: FloatArray) -> _LeftPoints:
+    def _follow_left(
+        self, left: Image, T_now_before: FloatArray, mask: Image | None
+    ) -> _LeftPoints:
         """The last frame's features in this left image; those lost are gone."""
         if self._memory is None:
             return _no_points()
@@ -103,6 +109,7 @@ class StereoTracker:
         uv, ok = follow(self._memory.left, left, old.uv, start, self._settings, self._workers)
         xy = self._rig.cam0.normalize(uv)
         ok &= self._rig.cam0.inside(uv, _BORDER_PX) & np.isfinite(xy[:, 0])
+        ok &= ~_is_masked(uv, mask)
         threshold = self._settings.two_view_threshold_px / self._rig.cam0.fx
         inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
         return _LeftPoints(
@@ -115,10 +122,10 @@ class StereoTracker:
             inlier=inlier,
         )
 
-    def _add_corners(self, left: Image, points: _LeftPoints) -> _LeftPoints:
+    def _add_corners(self, left: Image, points: _LeftPoints, mask: Image | None) -> _LeftPoints:
         """The points and as many new corners as there is room for."""
         n_wanted = self._settings.max_features - len(points.feature_id)
-        uv = detect_corners(left, points.uv, n_wanted, self._settings)
+        uv = detect_corners(left, points.uv, n_wanted, self._settings, mask)
         xy = self._rig.cam0.normalize(uv)
         uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
         n = len(uv)
@@ -135,14 +142,16 @@ class StereoTracker:
         )
 
     def _match_right(
-        self, left: Image, right: Image, points: _LeftPoints
+        self, left: Image, right: Image, points: _LeftPoints, mask: Image | None
     ) -> tuple[FloatArray, FloatArray, StereoMatches]:
         """Pixels and plane coordinates (N, 4), accepted right halves only, and all tested pairs."""
         default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
         uv, ok = follow(left, right, points.uv, start, self._settings, self._workers)
-        ok &= self._rig.cam1.inside(uv, _BORDER_PX)
+        ok &= self._rig.cam1.inside(uv, _BORDER_PX) & ~_is_masked(uv, mask)
+        if self._settings.cameras == "left":
+            ok[:] = False
         pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
         xy = self._rig.cam1.normalize(pixels[:, 2:])
         normalized = np.concatenate([points.xy, xy], axis=1)
@@ -152,6 +161,19 @@ class StereoTracker:
         pixels[ok] = without_refused(pixels[ok], matches)
         normalized[ok] = without_refused(normalized[ok], matches)
         return pixels, normalized, matches
+
+
+def _is_masked(uv: FloatArray, mask: Image | None) -> BoolArray:
+    """Which pixels (N, 2) lie where the mask is not zero; those outside it do not."""
+    masked = np.zeros(len(uv), dtype=np.bool_)
+    if mask is None:
+        return masked
+    height, width = mask.shape
+    near = np.isfinite(uv).all(axis=1)
+    u, v = np.round(uv[near]).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    masked[np.flatnonzero(near)[inside]] = mask[v[inside], u[inside]] > 0
+    return masked
 
 
 def _no_points() -> _LeftPoints:

@@ -7,30 +7,44 @@ from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf import propagation
 from ovmot.msckf.calibration import calibrated_rig, make_calibration
 from ovmot.msckf.correction import correct_with_features
 from ovmot.msckf.landmarks import no_landmarks
 from ovmot.msckf.slam import change_anchor
-from ovmot.msckf.state import N_IMU, TIME_OFFSET, State, drop_clone, pose_matrix
+from ovmot.msckf.state import (
+    N_IMU,
+    POSITION,
+    TIME_OFFSET,
+    VELOCITY,
+    State,
+    drop_clone,
+    pose_matrix,
+)
 from ovmot.msckf.stillness import picture_is_still
 from ovmot.msckf.zero_velocity import prediction_allows_standing, zero_velocity_update
 from ovmot.tracks import TrackTable, keep_window, share_clone
-from ovmot.types import EgoEstimate, ImuNoise, PoseWindow
+from ovmot.types import EgoEstimate, Health, ImuNoise, PoseWindow
 
 _SPACING_SLACK = 1.05  # frames do not come to the nanosecond
 
 
 @dataclass(frozen=True, slots=True)
 class FilterEgo:
-    """A filter that runs; `standing` is its verdict on the newest frame."""
+    """A filter that runs; `standing` is its verdict on the newest frame.
+
+    `corrected_ns`: the newest frame that an update used, None before the first one.
+    """
 
     state: State
     rig: StereoRig
     noise: ImuNoise
     settings: Settings
     standing: bool = False
+    corrected_ns: int | None = None
 
     def imu_time_ns(self, frame_ns: int) -> int:
         """A frame's time on the IMU's clock, by the present time offset."""
@@ -43,9 +57,13 @@ class FilterEgo:
     def predict(self, frame_ns: int, imu: ImuBuffer) -> "FilterEgo":
         """Propagate to the frame and clone its pose; `imu` must reach its time."""
         end_ns = self.imu_time_ns(frame_ns)
-        if end_ns == self.state.timestamp_ns and not len(self.state.clones):  # the first frame
-            rate = imu.at(end_ns).gyro - self.state.imu.gyro_bias
-            return replace(self, state=propagation.clone_pose(self.state, frame_ns, rate))
+        state, rate = self._carried(end_ns, imu)
+        return replace(self, state=propagation.clone_pose(state, frame_ns, rate))
+
+    def _carried(self, end_ns: int, imu: ImuBuffer) -> tuple[State, FloatArray]:
+        """The state at a time on the IMU's clock, and the angular velocity (3,) there."""
+        if end_ns == self.state.timestamp_ns:
+            return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias
         samples = imu.between(self.state.timestamp_ns, end_ns)
         result = propagation.propagate_imu(
             self.state.imu,
@@ -57,8 +75,7 @@ class FilterEgo:
             imu.spacing_s(samples) > self.settings.imu.max_gap_s,
             self.state.calibration,
         )
-        state = propagation.propagate(self.state, result, end_ns)
-        return replace(self, state=propagation.clone_pose(state, frame_ns, result.angular_velocity))
+        return propagation.propagate(self.state, result, end_ns), result.angular_velocity
 
     def correct(self, table: TrackTable) -> tuple["FilterEgo", TrackTable]:
         """Zero velocity when standing, then the visual update."""
@@ -74,7 +91,10 @@ class FilterEgo:
         state, table = correct_with_features(
             state, table, self.rig, self.settings.filter, oldest_leaves=leaving
         )
-        return replace(self, state=state, standing=standing), table
+        now = int(state.clones.timestamp_ns[-1])
+        aided = state.covariance is not self.state.covariance
+        corrected = now if aided or self.corrected_ns is None else self.corrected_ns
+        return replace(self, state=state, standing=standing, corrected_ns=corrected), table
 
     def forget(self, table: TrackTable) -> tuple["FilterEgo", TrackTable]:
         """Let a clone go; the frames of a standstill share the one that stays."""
@@ -110,6 +130,40 @@ class FilterEgo:
         """The rig as it is calibrated now."""
         return calibrated_rig(self.rig, self.state.calibration)
 
+    def health(self, frame_ns: int) -> Health:
+        """How far the filter can be trusted at the newest frame."""
+        limits = self.settings.health
+        unaided_s = 0.0 if self.corrected_ns is None else 1e-9 * (frame_ns - self.corrected_ns)
+        sigma = np.sqrt(np.diag(self.state.covariance)[VELOCITY].max())
+        if unaided_s > limits.lost_after_s or sigma > limits.lost_velocity_sigma_mps:
+            return Health.LOST
+        return Health.DEGRADED if unaided_s > limits.degraded_after_s else Health.TRACKING
+
+    def placed(self, T_world_imu: FloatArray) -> "FilterEgo":
+        """The same filter, which has just started, at this position (4, 4) and heading."""
+        state = self.state
+        R = T_world_imu[:3, :3] @ state.imu.R_world_imu.T
+        yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+        turn = so3.exp(np.array([0.0, 0.0, yaw]))
+        imu = replace(
+            state.imu,
+            R_world_imu=turn @ state.imu.R_world_imu,
+            position=T_world_imu[:3, 3],
+            velocity=turn @ state.imu.velocity,
+        )
+        G = np.eye(len(state.covariance))
+        G[POSITION, POSITION] = G[VELOCITY, VELOCITY] = turn
+        covariance = G @ state.covariance @ G.T
+        return replace(self, state=replace(state, imu=imu, imu_first=imu, covariance=covariance))
+
+    def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
+        """The state carried by the IMU to a time on its clock, with covariance, between frames.
+
+        Raises `DatasetError` where the IMU does not reach it.
+        """
+        carried = replace(self, state=self._carried(imu_ns, imu)[0])
+        return carried.estimate(imu_ns - round(1e9 * self.state.time_offset_s))
+
     def estimate(self, frame_ns: int) -> EgoEstimate:
         """The state at the newest frame, for the outputs."""
         s, P = self.state, self.state.covariance
@@ -126,6 +180,7 @@ class FilterEgo:
             time_offset_s=s.time_offset_s,
             time_offset_std_s=float(np.sqrt(max(P[TIME_OFFSET, TIME_OFFSET], 0.0))),
             standing=self.standing,
+            health=self.health(frame_ns),
         )
 
 

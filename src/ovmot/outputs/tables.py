@@ -49,15 +49,17 @@ class StateTable:
         "standing,std_rotation_x,std_rotation_y,std_rotation_z,"
         "std_x,std_y,std_z,std_vx,std_vy,std_vz,"
         "std_gyro_bias_x,std_gyro_bias_y,std_gyro_bias_z,"
-        "std_accel_bias_x,std_accel_bias_y,std_accel_bias_z,std_time_offset_s"
+        "std_accel_bias_x,std_accel_bias_y,std_accel_bias_z,std_time_offset_s,"
+        "segment,health"
     )
-    _row = "%d" + ",%.9f" * 31 + ",%d" + ",%.9f" * 16
+    _row = "%d" + ",%.9f" * 31 + ",%d" + ",%.9f" * 16 + ",%d,%s"
 
     def __init__(self, path: Path) -> None:
         self._file = RowFile(path, self.columns + "\n")
 
     def write(self, result: FrameResult) -> None:
-        fields = (result.timestamp_ns, *_state_fields(result.ego))
+        ego = result.ego
+        fields = (result.timestamp_ns, *_state_fields(ego), result.segment, ego.health.value)
         self._file.append(format_rows(self._row, [fields]))
 
     def close(self) -> None:
