@@ -181,7 +181,8 @@ def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_pat
     assert "never started" in told["ended"]
     assert told["counts"]["frames_before_start"] == told["counts"]["frames_read"]
     assert told["options"] == {
-        "ego": "filter", "start": "found", "ego_poses": None, "masks": None, "first": 0, "last": None,
+        "ego": "filter", "start": "found", "ego_poses": None, "masks": None, "first": 0,
+        "last": None,
     }  # fmt: skip
 
 

@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings, load_settings
 from ovmot.errors import InputError
 from ovmot.evaluation.consistency import nees, pose_errors
 from ovmot.evaluation.run_files import read_ego_run
 from ovmot.formats import read_tum
 from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.run import RunOptions, run_features
 from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
@@ -112,3 +115,105 @@ def test_what_needs_images_is_refused(recording: FeatureRecording, tmp_path: Pat
         with pytest.raises(InputError, match="no images"):
             run_features(recording, Settings(), options)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
+    tmp_path: Path,
+) -> None:
+    """Extrinsics off by 1 degree and 2 cm, focal lengths by 1 %, the clock by 10 ms."""
+    simulation = FeatureSimulation(
+        handheld_rig(), lively_path(22.0), ORIGIN_NS + 100_000_000 * np.arange(200),
+        ImuModel(200.0, EUROC_NOISE, np.full(3, 2e-3), np.full(3, 3e-2)),
+        FeatureOptions(n_features=150),
+    )  # fmt: skip
+    true, told = simulation.rig, spoiled(simulation.rig)
+    settings = load_settings(
+        None,
+        [
+            "calibration.extrinsics=true", "calibration.intrinsics=true",
+            "calibration.position_sigma_m=0.012", "calibration.focal_sigma_px=5",
+            "filter.time_offset_sigma_s=0.01", "filter.landmark_pixel_sigma=1",
+            "epipolar.threshold_px=30",
+        ],
+    )  # fmt: skip
+    recording = FeatureRecording(simulation, 1)
+    run_features(recording, settings, RunOptions(tmp_path / "out"), told_rig=told)
+    with (tmp_path / "out" / "calibration.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with (tmp_path / "out" / "state.csv").open() as file:
+        offset = [float(row["time_offset_s"]) for row in csv.DictReader(file)]
+    right = deviations(told, true)
+    for row in rows[20:]:
+        for name, value in right.items():
+            assert abs(float(row[name]) - value) < 4.0 * float(row[f"std_{name}"]), name
+    last = {name: abs(float(rows[-1][name]) - value) for name, value in right.items()}
+    assert max(last[f"cam0_pose_{axis}"] for axis in ("rx", "ry", "rz")) < np.radians(0.2)
+    assert max(last[f"cam0_lens_{axis}"] for axis in ("fx", "fy")) < 2.0  # of 4.6
+    assert abs(offset[-1] - true.time_offset_s) < 5e-4
+
+
+def lively_path(seconds: float) -> PoseSpline:
+    """About every axis and along every axis, so that all of the calibration can be seen."""
+    t = np.arange(-1.0, seconds, 0.05)
+    turn = [0.5 * np.sin(1.9 * t), 0.6 * np.sin(1.3 * t + 0.5), 0.4 * np.cos(1.6 * t)]
+    p = np.stack([1.2 * t, 0.8 * np.sin(1.7 * t), 0.5 * np.sin(2.3 * t)], axis=-1)
+    stamps = ORIGIN_NS + np.round(1e9 * t).astype(np.int64)
+    return PoseSpline.through(stamps, se3.make(so3.exp(np.stack(turn, axis=-1)), p))
+
+
+def spoiled(rig: StereoRig) -> StereoRig:
+    def moved(T: FloatArray, axis: list[float], shift: list[float]) -> FloatArray:
+        turn = so3.exp(np.radians(1.0) * np.array(axis))
+        return se3.make(T[:3, :3] @ turn, T[:3, 3] + 0.02 * np.array(shift))
+
+    def longer(camera: Camera) -> Camera:
+        return replace(camera, intrinsics=camera.intrinsics * [1.01, 1.01, 1.0, 1.0, 1.0])
+
+    return replace(
+        rig, cam0=longer(rig.cam0), cam1=longer(rig.cam1),
+        T_imu_cam0=moved(rig.T_imu_cam0, [0.6, 0.0, 0.8], [0.0, 0.6, -0.8]),
+        T_imu_cam1=moved(rig.T_imu_cam1, [0.0, 0.8, 0.6], [0.8, 0.0, 0.6]),
+        time_offset_s=rig.time_offset_s + 0.01,
+    )  # fmt: skip
+
+
+def deviations(told: StereoRig, true: StereoRig) -> dict[str, float]:
+    """What the estimated deviations should become, by their names in `calibration.csv`."""
+    out: dict[str, float] = {}
+    for k, (T, T_true) in enumerate(
+        ((told.T_imu_cam0, true.T_imu_cam0), (told.T_imu_cam1, true.T_imu_cam1))
+    ):
+        values = (*so3.log(T[:3, :3].T @ T_true[:3, :3]), *(T_true[:3, 3] - T[:3, 3]))
+        names = ("rx", "ry", "rz", "x", "y", "z")
+        out |= {f"cam{k}_pose_{n}": float(v) for n, v in zip(names, values, strict=True)}
+        camera, right = told.cameras[k], true.cameras[k]
+        lens = right.intrinsics[:4] - camera.intrinsics[:4]
+        focal_and_center = zip(("fx", "fy", "cx", "cy"), lens, strict=True)
+        out |= {f"cam{k}_lens_{n}": float(v) for n, v in focal_and_center}
+    return out
+
+
+@pytest.mark.slow
+def test_what_the_motion_cannot_show_stays_as_unsure_as_it_was(tmp_path: Path) -> None:
+    """Straight on at constant speed: the accelerometer's scales are not observable."""
+    t = np.arange(-1.0, 9.0, 0.05)
+    p = np.stack([2.0 * t, np.zeros_like(t), np.zeros_like(t)], axis=-1)
+    path = PoseSpline.through(
+        ORIGIN_NS + np.round(1e9 * t).astype(np.int64),
+        se3.make(np.broadcast_to(np.eye(3), (len(t), 3, 3)), p),
+    )
+    simulation = FeatureSimulation(
+        handheld_rig(), path, ORIGIN_NS + 100_000_000 * np.arange(80),
+        ImuModel(200.0, EUROC_NOISE, np.full(3, 2e-3), np.full(3, 3e-2)),
+        FeatureOptions(n_features=100),
+    )  # fmt: skip
+    settings = load_settings(None, ["calibration.imu_intrinsics=true"])
+    run_features(FeatureRecording(simulation, 2), settings, RunOptions(tmp_path / "out"))
+    with (tmp_path / "out" / "calibration.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = ("gyro_matrix_00", "gyro_matrix_11", "gyro_matrix_22", "accel_matrix_11")
+    for name in names:
+        first, last = float(rows[0][f"std_{name}"]), float(rows[-1][f"std_{name}"])
+        assert last > 0.9 * first, name
+        assert abs(float(rows[-1][name])) < 3.0 * last

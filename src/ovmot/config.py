@@ -133,6 +133,11 @@ class CalibrationSettings(Section):
     g_sensitivity_sigma: float = Field(0.001, gt=0.0)
     """Standard deviation of each g-sensitivity at the start, rad/s per m/s^2."""
 
+    @property
+    def any(self) -> bool:
+        """Whether any part is estimated."""
+        return self.extrinsics or self.intrinsics or self.imu_intrinsics or self.g_sensitivity
+
 
 class ImuSettings(Section):
     """Noise of the IMU; densities left out are the data's, else those of `fallback`."""

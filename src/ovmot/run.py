@@ -94,21 +94,24 @@ def run_features(
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
     start_sigmas: StartSigmas = StartSigmas(),  # noqa: B008 - frozen
+    told_rig: StereoRig | None = None,
 ) -> RunSummary:
     """Run a feature-level simulation, started at its truth; as `run_sequence` otherwise.
 
-    `start_sigmas` is how sure of that start the filter is told to be. Raises `InputError` for what
+    `start_sigmas` is how sure of that start the filter is told to be, `told_rig` the calibration
+    that it is given in place of the true one. Raises `InputError` for what
     needs images or frame numbers: an overlay, poses from a file, a first or last frame.
     """
     if options.video or options.ego_poses is not None or options.first or options.last is not None:
         raise InputError("a feature-level simulation has no images and runs from end to end")
     simulation = recording.simulation
+    rig = told_rig or simulation.rig
     source = _Source(
         name="feature simulation",
-        rig=simulation.rig,
+        rig=rig,
         stream=recording.events(),
-        start=known_start(recording, settings, start_sigmas),
-        frontend=GivenFeatures(simulation.rig, settings.tracker, settings.epipolar),
+        start=known_start(recording, settings, start_sigmas, rig),
+        frontend=GivenFeatures(rig, settings.tracker, settings.epipolar),
         imu_noise=simulation.imu.noise,
         identity=InputIdentity(
             path="",
@@ -134,7 +137,7 @@ def _run(
     pipeline = Pipeline(source.rig, settings, source.start, source.frontend)
     writer = open_outputs(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
-        force=options.force, stages=STAGES,
+        force=options.force, stages=STAGES, calibration=settings.calibration.any,
     )  # fmt: skip
     try:
         with writer, closing(source.stream):
@@ -214,7 +217,9 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
     return FilterStart(sequence.rig, imu_noise(sequence, settings), settings)
 
 
-def known_start(recording: FeatureRecording, settings: Settings, sigmas: StartSigmas) -> KnownStart:
+def known_start(
+    recording: FeatureRecording, settings: Settings, sigmas: StartSigmas, rig: StereoRig
+) -> KnownStart:
     """The filter's start at the truth of a simulation's first frame, exact biases included."""
     simulation, truth = recording.simulation, recording.truth()
     T = truth.T_world_imu[0]
@@ -222,7 +227,7 @@ def known_start(recording: FeatureRecording, settings: Settings, sigmas: StartSi
         T[:3, :3], T[:3, 3], truth.velocity[0], truth.gyro_bias[0], truth.accel_bias[0]
     )
     return KnownStart(
-        int(truth.timestamp_ns[0]), state, sigmas, simulation.rig, simulation.imu.noise,
+        int(truth.timestamp_ns[0]), state, sigmas, rig, simulation.imu.noise,
         settings,
     )  # fmt: skip
 

@@ -151,6 +151,19 @@ class Health(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrationEstimate:
+    """The calibration estimated online: C coordinates by name, as deviations from the files'.
+
+    `deviation`, `std` (C,): extrinsics as rotation vectors (rad) and positions (m) of cameras on
+    the IMU, lenses in pixels and coefficients, matrices of the IMU by row.
+    """
+
+    names: tuple[str, ...]
+    deviation: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class EgoEstimate:
     """Where the rig is at one frame: the IMU's state and its covariance.
 
@@ -171,6 +184,7 @@ class EgoEstimate:
     time_offset_std_s: float
     standing: bool
     health: Health = Health.TRACKING
+    calibration: CalibrationEstimate | None = None
 
 
 @dataclass(frozen=True, slots=True)

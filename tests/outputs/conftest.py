@@ -11,8 +11,10 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.types import (
+    CalibrationEstimate,
     EgoEstimate,
     FrameResult,
+    Health,
     ObjectTrack,
     PointLabel,
     ScenePoints,
@@ -80,6 +82,10 @@ def _ego(timestamp_ns: int) -> EgoEstimate:
         time_offset_s=-0.0015,
         time_offset_std_s=0.0005,
         standing=True,
+        health=Health.DEGRADED,
+        calibration=CalibrationEstimate(
+            ("cam0_pose_rx", "cam0_lens_fx"), np.array([0.01, -2.5]), np.array([0.001, 0.5])
+        ),
     )
 
 

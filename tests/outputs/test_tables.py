@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ovmot.outputs.tables import (
+    CalibrationTable,
     CovarianceTable,
     PointsTable,
     StateTable,
@@ -142,3 +143,26 @@ def test_timing_columns_stay(
     table.write(replace(make_result(2), milliseconds={"late": 4.5, "match": 3.0}))
     table.close()
     assert (tmp_path / "t").read_text() == expected
+
+
+def test_estimated_calibration(tmp_path: Path, make_result: Callable[[int], FrameResult]) -> None:
+    table = CalibrationTable(tmp_path / "calibration.csv")
+    result = make_result(5)
+    table.write(result)
+    table.write(replace(result, ego=replace(result.ego, calibration=None)))
+    table.close()
+    assert (tmp_path / "calibration.csv").read_text().splitlines() == [
+        "timestamp_ns,cam0_pose_rx,cam0_lens_fx,std_cam0_pose_rx,std_cam0_lens_fx",
+        "5,0.01,-2.5,0.001,0.5",
+    ]
+
+
+def test_state_ends_with_segment_and_health(
+    tmp_path: Path, make_result: Callable[[int], FrameResult]
+) -> None:
+    table = StateTable(tmp_path / "state.csv")
+    table.write(replace(make_result(5), segment=2))
+    table.close()
+    header, row = (tmp_path / "state.csv").read_text().splitlines()
+    assert header.endswith(",segment,health")
+    assert row.endswith(",2,degraded")

@@ -21,6 +21,13 @@ LENSES = ("cam0_lens", "cam1_lens")
 GYRO_MATRIX, ACCEL_MATRIX, G_SENSITIVITY = "gyro_matrix", "accel_matrix", "g_sensitivity"
 _UPPER = np.triu_indices(3)
 _FOCAL_AND_CENTER = 4
+_COORDINATES = {
+    "pose": ("rx", "ry", "rz", "x", "y", "z"),
+    "lens": ("fx", "fy", "cx", "cy", *(f"d{k}" for k in range(8))),
+    GYRO_MATRIX: tuple(f"{i}{j}" for i in range(3) for j in range(3)),
+    ACCEL_MATRIX: tuple(f"{i}{j}" for i, j in zip(*_UPPER, strict=True)),
+    G_SENSITIVITY: tuple(f"{i}{j}" for i in range(3) for j in range(3)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +47,15 @@ class Calibration:
 
     def __len__(self) -> int:
         return len(self.deviation)
+
+    def names(self) -> tuple[str, ...]:
+        """A name for each coordinate."""
+        out: list[str] = []
+        for part in self.parts:
+            size = part.where.stop - part.where.start
+            labels = _COORDINATES.get(part.name.removeprefix("cam0_").removeprefix("cam1_"))
+            out += [f"{part.name}_{labels[k] if labels else k}" for k in range(size)]
+        return tuple(out)
 
     def where(self, name: str) -> slice | None:
         """The part's coordinates, None where it is not estimated."""

@@ -27,7 +27,7 @@ from ovmot.msckf.state import (
 from ovmot.msckf.stillness import picture_is_still
 from ovmot.msckf.zero_velocity import prediction_allows_standing, zero_velocity_update
 from ovmot.tracks import TrackTable, keep_window, share_clone
-from ovmot.types import EgoEstimate, Health, ImuNoise, PoseWindow
+from ovmot.types import CalibrationEstimate, EgoEstimate, Health, ImuNoise, PoseWindow
 
 _SPACING_SLACK = 1.05  # frames do not come to the nanosecond
 
@@ -181,6 +181,16 @@ class FilterEgo:
             time_offset_std_s=float(np.sqrt(max(P[TIME_OFFSET, TIME_OFFSET], 0.0))),
             standing=self.standing,
             health=self.health(frame_ns),
+            calibration=self._calibration(),
+        )
+
+    def _calibration(self) -> CalibrationEstimate | None:
+        calibration = self.state.calibration
+        if not len(calibration):
+            return None
+        variance = np.diag(self.state.covariance)[self.state.calibration_columns]
+        return CalibrationEstimate(
+            calibration.names(), calibration.deviation, np.sqrt(np.maximum(variance, 0.0))
         )
 
 

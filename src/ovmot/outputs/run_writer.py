@@ -12,6 +12,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.run_json import PARTIAL_RUN_JSON, RUN_JSON
 from ovmot.outputs.tables import (
+    CalibrationTable,
     CovarianceTable,
     PointsTable,
     StateTable,
@@ -50,6 +51,7 @@ OUTPUTS: dict[str, OutputFactory] = {
     "trajectory.tum": lambda path, _: TrajectoryTable(path),
     "state.csv": lambda path, _: StateTable(path),
     "covariance.csv": lambda path, _: CovarianceTable(path),
+    "calibration.csv": lambda path, _: CalibrationTable(path),
     "tracks.csv": lambda path, _: TracksTable(path),
     "timing.csv": lambda path, context: TimingTable(path, context.stages),
     "points.csv": lambda path, _: PointsTable(path),
@@ -58,6 +60,7 @@ OUTPUTS: dict[str, OutputFactory] = {
 }
 
 _ALWAYS = ("trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv")
+_CALIBRATION = ("calibration.csv",)
 _POINTS = ("points.csv", "stereo.csv")
 _VIDEO = ("overlay.mp4",)
 EVALUATION_FILES = ("metrics.json", "ego_error.png", "nees.png", "map.png")
@@ -128,6 +131,7 @@ def open_outputs(
     video: bool = False,
     force: bool = False,
     stages: Sequence[str] = (),
+    calibration: bool = False,
 ) -> RunWriter:
     """Start the files of a run in `folder`, which is made if missing.
 
@@ -136,7 +140,12 @@ def open_outputs(
     files and nothing else) or cannot be written into.
     """
     prepare_folder(folder, force=force)
-    names = (*_ALWAYS, *(_POINTS if save_points else ()), *(_VIDEO if video else ()))
+    names = (
+        *_ALWAYS,
+        *(_CALIBRATION if calibration else ()),
+        *(_POINTS if save_points else ()),
+        *(_VIDEO if video else ()),
+    )
     context = RunContext(rig, tuple(stages))
     opened: list[Output] = []
     try:

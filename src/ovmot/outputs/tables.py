@@ -91,6 +91,31 @@ class CovarianceTable:
         self._file.close()
 
 
+class CalibrationTable:
+    """`calibration.csv`: the calibration estimated online, each coordinate with its 1-sigma.
+
+    Deviations from the calibration files; there is no row where nothing is estimated.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = RowFile(path, "")
+        self._names: tuple[str, ...] = ()
+
+    def write(self, result: FrameResult) -> None:
+        found = result.ego.calibration
+        if found is None:
+            return
+        if not self._names:
+            self._names = found.names
+            columns = ("timestamp_ns", *found.names, *(f"std_{name}" for name in found.names))
+            self._file.append(",".join(columns) + "\n")
+        fields = (result.timestamp_ns, *found.deviation.tolist(), *found.std.tolist())
+        self._file.append(format_rows("%d" + ",%.9g" * (len(fields) - 1), [fields]))
+
+    def close(self) -> None:
+        self._file.close()
+
+
 class PointsTable:
     """`points.csv`: every feature of every frame with its verdict."""
 
