@@ -1,16 +1,17 @@
 """Groups of points that are near each other and move alike: the candidates for rigid bodies."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
+from ovmot.geometry.triangulation import stereo_covariance
 from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import fit_velocity
 from ovmot.tracks import TrackTable
@@ -19,21 +20,20 @@ from ovmot.types import PointLabel, PoseWindow, ScenePoints
 _GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _REACH_SIGMAS = 2.0  # along the ray, on top of the radius
 _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
-_NEIGHBOURS_OF_DOUBTFUL = 2  # moving ones that a doubtful point must agree with
+_MOVES = 7.81  # 95 % of the same: less tells no motion
+_FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
 @dataclass(frozen=True, slots=True)
 class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
-    `feature_id` (M,), `certain` (M,): labelled dynamic. `rows` (L,) of the table, `clone` (L,) of
-    the window, `hops` (L,) frames since. `history` holds the plane coordinates, `comparison` where
-    the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
+    `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
+    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
     are. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes.
     """
 
     feature_id: IntArray
-    certain: BoolArray
     hops: IntArray
     history: StereoHistory
     comparison: Comparison
@@ -54,35 +54,50 @@ def motion_history(
     rows = _rows(table, window, settings.look_back_s)
     candidate = (points.label != int(PointLabel.STATIC)) & np.isfinite(points.p_cam0[:, 2])
     feature_id = points.feature_id[candidate]
-    certain = points.label[candidate] == int(PointLabel.DYNAMIC)
-    if len(rows) == 0 or certain.sum() < settings.min_points:
+    if len(rows) == 0 or len(feature_id) < settings.min_points:
         return None
     order = np.argsort(table.feature_id)
     column = order[np.searchsorted(table.feature_id, feature_id, sorter=order)]
-    then = table.normalized[rows][:, column]
-    ever = np.isfinite(then).all(-1).any(0)
+    ever = np.isfinite(table.normalized[rows][:, column]).all(-1).any(0)
+    if ever.sum() < settings.min_points:
+        return None
+    feature_id, column = feature_id[ever], column[ever]
     history = StereoHistory(
-        then=then[:, ever],
-        now=table.normalized[-1, column[ever]],
+        then=table.normalized[rows][:, column],
+        now=table.normalized[-1, column],
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
     W = np.linalg.inv(_with_acceleration(comparison, settings.accel_sigma_mps2))
     W = np.where(comparison.tested[..., None, None], W, 0.0)
-    velocity, covariance, _ = fit_velocity(comparison, W)
-    p_cam0 = triangulate_stereo(history.now, rig.T_cam1_cam0)
+    velocity, covariance, cost = fit_velocity(comparison, W)
+    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
+    distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
+    kept = np.flatnonzero(steady & (distance > _MOVES))
+    p_cam0 = points.p_cam0[candidate][ever][kept]
     sigma = plane_sigma(rig, settings.pixel_sigma)
     return MotionHistory(
-        feature_id=feature_id[ever],
-        certain=certain[ever],
+        feature_id=feature_id[kept],
         hops=len(table.frame_ns) - 1 - rows,
-        history=history,
-        comparison=comparison,
+        history=replace(history, then=history.then[:, kept], now=history.now[kept]),
+        comparison=_only(comparison, kept),
         p_cam0=p_cam0,
         cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
-        velocity=velocity,
-        velocity_cov=covariance,
+        velocity=velocity[kept],
+        velocity_cov=covariance[kept],
+    )
+
+
+def _only(comparison: Comparison, index: IntArray) -> Comparison:
+    """The comparison of some points."""
+    return Comparison(
+        comparison.span_s,
+        comparison.predicted[:, index],
+        comparison.residual[:, index],
+        comparison.J[:, index],
+        comparison.J_motion[:, index],
+        comparison.S[:, index],
     )
 
 
@@ -110,27 +125,16 @@ def _rows(table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...])
 
 
 def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:
-    """Indices of the points of each connected component of like movers, largest first.
-
-    Doubtful points join where they agree with two moving ones, but never connect others.
-    """
+    """Indices of the points of each connected component of like movers, largest first."""
     pairs = _near_pairs(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
     pairs = pairs[_same_velocity(points, pairs)]
-    n, certain = len(points.feature_id), points.certain
-    moving = pairs[certain[pairs].all(1)]
-    a, b = moving[:, 0], moving[:, 1]
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
+    n = len(points.feature_id)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, component = connected_components(graph, directed=False)
-    component = np.asarray(component, dtype=np.int64)
-
-    mixed = pairs[certain[pairs].sum(1) == 1]
-    doubtful = np.where(certain[mixed[:, 0]], mixed[:, 1], mixed[:, 0])
-    mover = mixed.sum(1) - doubtful
-    enough = np.bincount(doubtful, minlength=n) >= _NEIGHBOURS_OF_DOUBTFUL
-    component[doubtful[enough[doubtful]]] = component[mover[enough[doubtful]]]
-    groups = [np.flatnonzero(component == k) for k in np.unique(component[certain])]
-    groups = [g for g in groups if len(g) >= settings.min_points]
-    return tuple(sorted(groups, key=len, reverse=True))
+    size = np.bincount(component)
+    large = np.flatnonzero(size >= settings.min_points)
+    by_size = large[np.argsort(-size[large], kind="stable")]
+    return tuple(np.flatnonzero(component == k) for k in by_size)
 
 
 def _near_pairs(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> IntArray:

@@ -143,7 +143,8 @@ class Weighting:
         views = self._views
         T, by_twist = moved_views(views, twist)
         body = views.body
-        R, t = T[:, body, :3, :3], T[:, body, :3, 3]
+        T = T[:, body]
+        R, t = T[..., :3, :3], T[..., :3, 3]
         ray = np.column_stack([point[:, :2], np.ones(len(point))])
         inverse_depth = point[:, 2:]
         q = (R @ ray[..., None])[..., 0] + inverse_depth * t
