@@ -196,8 +196,10 @@ class SplitSettings(Section):
 class ObjectSettings(Section):
     """Moving rigid bodies: from dynamic points to one measurement a body."""
 
-    look_back_s: tuple[float, ...] = (0.7, 0.5, 0.4, 0.3, 0.2, 0.1)
+    look_back_s: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.1)
     """Earlier times to choose from; each body is compared with the one that tells most."""
+    max_range_m: float = Field(60.0, gt=0.0)
+    """Points farther than this belong to no body."""
     neighbour_radius_m: float = Field(1.8, gt=0.0)
     """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
     min_points: int = Field(3, ge=3)

@@ -10,8 +10,9 @@ from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import stereo_covariance
+from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
 from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import fit_velocity
 from ovmot.tracks import TrackTable
@@ -21,6 +22,8 @@ _GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _REACH_SIGMAS = 2.0  # along the ray, on top of the radius
 _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 7.81  # 95 % of the same: less tells no motion
+_HINT = 4.0  # squared sigmas that make a point worth a closer look
+_NEIGHBOURS = 6
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
@@ -52,22 +55,22 @@ def motion_history(
 ) -> MotionHistory | None:
     """What the table knows of all points that are not static; None where that is nothing."""
     rows = _rows(table, window, settings.look_back_s)
-    candidate = (points.label != int(PointLabel.STATIC)) & np.isfinite(points.p_cam0[:, 2])
-    feature_id = points.feature_id[candidate]
-    if len(rows) == 0 or len(feature_id) < settings.min_points:
-        return None
     order = np.argsort(table.feature_id)
-    column = order[np.searchsorted(table.feature_id, feature_id, sorter=order)]
-    ever = np.isfinite(table.normalized[rows][:, column]).all(-1).any(0)
-    if ever.sum() < settings.min_points:
-        return None
-    feature_id, column = feature_id[ever], column[ever]
+    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
     history = StereoHistory(
         then=table.normalized[rows][:, column],
         now=table.normalized[-1, column],
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
+    shown = _displaced(history, points, window, rig) > _HINT
+    shown |= points.label != int(PointLabel.STATIC)
+    with np.errstate(invalid="ignore"):
+        near = points.p_cam0[:, 2] < settings.max_range_m
+    candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
+    if len(rows) == 0 or len(candidate) < settings.min_points:
+        return None
+    history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
     W = np.linalg.inv(_with_acceleration(comparison, settings.accel_sigma_mps2))
     W = np.where(comparison.tested[..., None, None], W, 0.0)
@@ -75,10 +78,12 @@ def motion_history(
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
     distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
     kept = np.flatnonzero(steady & (distance > _MOVES))
-    p_cam0 = points.p_cam0[candidate][ever][kept]
+    if len(kept) < settings.min_points:
+        return None
+    p_cam0 = points.p_cam0[candidate[kept]]
     sigma = plane_sigma(rig, settings.pixel_sigma)
     return MotionHistory(
-        feature_id=feature_id[kept],
+        feature_id=points.feature_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
         history=replace(history, then=history.then[:, kept], now=history.now[kept]),
         comparison=_only(comparison, kept),
@@ -99,6 +104,25 @@ def _only(comparison: Comparison, index: IntArray) -> Comparison:
         comparison.J_motion[:, index],
         comparison.S[:, index],
     )
+
+
+def _displaced(
+    history: StereoHistory, points: ScenePoints, window: PoseWindow, rig: StereoRig
+) -> FloatArray:
+    """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
+
+    Axes apart and with today's covariance for both times: quick, to spare most points the rest.
+    """
+    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
+    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
+    carried = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, rig.T_cam1_cam0))
+    apart = (carried - points.p_cam0) ** 2
+    variance = 2.0 * np.diagonal(points.cov_cam0, axis1=1, axis2=2)
+    squared = (apart / variance).sum(-1)
+    oldest: FloatArray = np.zeros(len(points.feature_id))
+    for row in squared[::-1]:
+        oldest = np.where(np.isfinite(row), row, oldest)
+    return oldest
 
 
 def _with_acceleration(comparison: Comparison, accel_sigma: float) -> FloatArray:
@@ -140,15 +164,22 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
 def _near_pairs(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> IntArray:
     """Pairs (P, 2) of points within `radius` across the rays, farther along them.
 
-    Along the ray, stereo scatters by s z², so that the reach there is r + k s z². In the depth
-    u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) that reach is r everywhere.
+    And only where each is among the other's nearest few: bodies side by side with many points
+    stay apart. Along the ray, stereo scatters by s z², so that the reach there is r + k s z². In
+    the depth u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r everywhere.
     """
     z = p_cam0[:, 2]
     # Two points scatter: √2 of one.
     ks = _REACH_SIGMAS * np.sqrt(2.0) * float(np.median(np.sqrt(cov_cam0[:, 2, 2]) / z**2))
     u = np.sqrt(radius / ks) * np.arctan(z * np.sqrt(ks / radius))
-    tree = cKDTree(np.column_stack([p_cam0[:, :2], u]))
-    return np.asarray(tree.query_pairs(radius, output_type="ndarray"), np.int64).reshape(-1, 2)
+    scaled = np.column_stack([p_cam0[:, :2], u])
+    k = min(_NEIGHBOURS + 1, len(z))
+    found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=radius)
+    apart, other = np.asarray(found[0]), np.asarray(found[1])
+    a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
+    near = np.zeros((len(z), len(z)), dtype=np.bool_)
+    near[a, other[:, 1:][a, slot]] = True
+    return np.argwhere(np.triu(near & near.T))
 
 
 def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:

@@ -101,7 +101,7 @@ def ransac_motion(
         k = int(np.argmin(cost))
         if cost[k] < best_cost:
             best_cost, best_T, best = float(cost[k]), T[k], distance[k] < _GATE
-        share = best.mean()
+        share = float(best.mean())
         if (1.0 - share**3) ** drawn < _MISS:
             break
     return best_T, best
