@@ -208,9 +208,9 @@ class ObjectSettings(Section):
     """Standard deviation of each coordinate of a stereo pair, pixels."""
     slide_per_hop_px: float = Field(0.15, ge=0.0)
     """How far a followed patch slides from one frame to the next, standard deviation, pixels."""
-    slide_per_flow: float = Field(0.005, ge=0.0)
+    slide_per_flow: float = Field(0.01, ge=0.0)
     """Further slide, as a share of the way through the image."""
-    accel_sigma_mps2: float = Field(1.5, ge=0.0)
+    accel_sigma_mps2: float = Field(1.0, ge=0.0)
     """Standard deviation of a body's acceleration, which one velocity over the span leaves out."""
     yaw_rate_sigma_rps: float = Field(0.4, gt=0.0)
     """Standard deviation of yaw rates: decides where the points do not tell."""

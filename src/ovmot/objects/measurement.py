@@ -10,7 +10,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.grouping import MotionHistory, group_points, motion_history
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
-from ovmot.objects.rigid_motion import RigidGroup, extract_motions
+from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
 from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion
 from ovmot.tracks import TrackTable
 from ovmot.types import PoseWindow, ScenePoints
@@ -18,6 +18,7 @@ from ovmot.types import PoseWindow, ScenePoints
 _YAW_KNOWN = 0.7  # of the prior's standard deviation: where the points have told something
 _REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
 _SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
+_SPREAD_SHARE = 0.05  # and as a share of the speed
 _SAME_GATE = 16.27  # 99.9 % of chi-squared with 3 degrees of freedom
 
 
@@ -69,18 +70,18 @@ def measure_objects(
     if not found:
         return ()
     # 4 motions and points together, by reprojection
-    views, twist = _views_of(history, found, window, rig)
+    views, twist, row = _views_of(history, found, window, rig, settings)
     index = np.concatenate([group.index for group in found])
     refined = refine_bodies(views, twist, history.p_cam0[index], rig, settings)
     # 5 what is left of each: enough points, moving, and not a part of another
     T_world_cam0 = views.T_world_cam0[-1, 0]
     is_static = STATIC_TESTS[settings.static_test]
     bodies = []
-    for k, group in enumerate(found):
+    for k in range(len(found)):
         own = np.flatnonzero((views.body == k) & refined.inlier)
         if len(own) < settings.min_points:
             continue
-        then = int(history.history.clone_index[group.row])
+        then = int(history.history.clone_index[row[k]])
         body = _measurement(k, own, history.feature_id[index[own]], views, refined, settings)
         body = _with_ego_covariance(body, window, then)
         fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
@@ -90,8 +91,9 @@ def measure_objects(
 
 
 def _views_of(
-    history: MotionHistory, found: list[RigidGroup], window: PoseWindow, rig: StereoRig
-) -> tuple[BodyViews, FloatArray]:
+    history: MotionHistory, found: list[RigidGroup], window: PoseWindow, rig: StereoRig,
+    settings: ObjectSettings,
+) -> tuple[BodyViews, FloatArray, IntArray]:
     """Each body's points in three views: its earlier row, one half way if there is one, now.
 
     And the twists (B, 6) that the rigid motions amount to.
@@ -99,7 +101,8 @@ def _views_of(
     past = history.history
     index = np.concatenate([group.index for group in found])
     body = np.repeat(np.arange(len(found)), [len(group.index) for group in found])
-    row = np.array([group.row for group in found])
+    accel = settings.accel_sigma_mps2
+    row = np.array([best_row(history, group.index, accel) for group in found])
     between = np.array([_row_between(past.span_s, k) for k in row.tolist()])
     rows = np.stack([row, between])
     T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
@@ -120,7 +123,8 @@ def _views_of(
     T_now_then = np.stack([group.T_now_then for group in found])
     shift = se3.make(np.eye(3), views.origin)
     T_world = se3.inverse(shift) @ T_now @ T_now_then @ se3.inverse(T_now) @ shift
-    return views, se3.log(T_world) / views.span_s[0][:, None]
+    span = past.span_s[[group.row for group in found]]
+    return views, se3.log(T_world) / span[:, None], row
 
 
 def _row_between(span_s: FloatArray, row: int) -> int:
@@ -238,5 +242,6 @@ def _is_part(
     C = body.covariance + larger.covariance
     reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
     dv = body.velocity - larger.velocity
-    C_v = C[3:, 3:] + _SPEED_SPREAD**2 * np.eye(3)
+    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(larger.velocity))
+    C_v = C[3:, 3:] + spread**2 * np.eye(3)
     return bool(apart < reach and dv @ np.linalg.solve(C_v, dv) < _SAME_GATE)

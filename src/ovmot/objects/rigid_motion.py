@@ -12,7 +12,8 @@ from ovmot.geometry.registration import register_rigid, triangle_height
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.grouping import MotionHistory
 
-_GATE = 13.28  # 99 % of chi-squared with 4 degrees of freedom
+_GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
+_SHARE_OF_POINTS = 0.7  # of those that the best row holds, that any row in use must hold
 _BATCH = 24  # triples drawn at once
 _MAX_BATCHES = 4
 _MISS = 0.01  # accepted probability that no triple was free of outliers
@@ -44,7 +45,8 @@ def extract_motions(
     found = []
     left = group
     while len(left) >= settings.min_points:
-        row = best_row(points, left, settings)
+        # How a body accelerates does not tell its points apart: look as far back as helps.
+        row = best_row(points, left, accel_sigma=0.0)
         seen = left[points.comparison.tested[row, left]]
         if len(seen) < settings.min_points:
             break
@@ -56,11 +58,11 @@ def extract_motions(
     return tuple(found)
 
 
-def best_row(points: MotionHistory, index: IntArray, settings: ObjectSettings) -> int:
-    """The earlier row from which the group's velocity is known best.
+def best_row(points: MotionHistory, index: IntArray, accel_sigma: float) -> int:
+    """The earlier row from which the velocity of points (n,) is known best.
 
     Noise of the points falls with the span and with their number, what the body may have
-    accelerated grows with the span: the row with the least expected squared error.
+    accelerated (standard deviation in m/s²) grows with the span: the least expected squared error.
     """
     comparison = points.comparison
     tested = comparison.tested[:, index]
@@ -70,9 +72,9 @@ def best_row(points: MotionHistory, index: IntArray, settings: ObjectSettings) -
     covariance = np.linalg.inv(information + 1e-6 * np.eye(3))
     span = comparison.span_s
     error = np.trace(covariance, axis1=1, axis2=2) / span**2
-    error = error + 2.0 * (0.5 * settings.accel_sigma_mps2 * span) ** 2
-    enough = tested.sum(1) >= min(settings.min_points, int(tested.sum(1).max()))
-    return int(np.argmin(np.where(enough, error, np.inf)))
+    error = error + 2.0 * (0.5 * accel_sigma * span) ** 2
+    seen = tested.sum(1)
+    return int(np.argmin(np.where(seen >= _SHARE_OF_POINTS * seen.max(), error, np.inf)))
 
 
 def ransac_motion(
