@@ -23,7 +23,7 @@ _REACH_SIGMAS = 2.0  # along the ray, on top of the radius
 _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 7.81  # 95 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
-_NEIGHBOURS = 6
+_NEIGHBOURS = 5  # nearest ones among which two must be to be linked
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
@@ -33,7 +33,8 @@ class MotionHistory:
 
     `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
     `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
-    are. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes.
+    are. `weight` (L, M, 4, 4): inverse of the comparison's S, zero where untested; `information`
+    (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes.
     """
 
     feature_id: IntArray
@@ -42,6 +43,8 @@ class MotionHistory:
     comparison: Comparison
     p_cam0: FloatArray
     cov_cam0: FloatArray
+    weight: FloatArray
+    information: FloatArray
     velocity: FloatArray
     velocity_cov: FloatArray
 
@@ -82,13 +85,19 @@ def motion_history(
         return None
     p_cam0 = points.p_cam0[candidate[kept]]
     sigma = plane_sigma(rig, settings.pixel_sigma)
+    comparison = _only(comparison, kept)
+    tested = comparison.tested[..., None, None]
+    weight = np.where(tested, np.linalg.inv(np.where(tested, comparison.S, np.eye(4))), 0.0)
+    J = np.where(tested, comparison.J_motion, 0.0)
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
         history=replace(history, then=history.then[:, kept], now=history.now[kept]),
-        comparison=_only(comparison, kept),
+        comparison=comparison,
         p_cam0=p_cam0,
         cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
+        weight=weight,
+        information=np.swapaxes(J, -1, -2) @ weight @ J,
         velocity=velocity[kept],
         velocity_cov=covariance[kept],
     )

@@ -16,6 +16,7 @@ from ovmot.tracks import TrackTable
 from ovmot.types import PoseWindow, ScenePoints
 
 _YAW_KNOWN = 0.7  # of the prior's standard deviation: where the points have told something
+_FEW = 4  # points that may be a part of a body, though their group is another
 _REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
 _SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
 _SPREAD_SHARE = 0.05  # and as a share of the speed
@@ -66,7 +67,9 @@ def measure_objects(
     # 2 neighbours that move alike
     groups = group_points(history, settings)
     # 3 rigid motions in each group
-    found = [m for g in groups for m in extract_motions(history, g, rig, settings, rng)]
+    motions = [extract_motions(history, group, rig, settings, rng) for group in groups]
+    found = [motion for of_group in motions for motion in of_group]
+    group_of = np.repeat(np.arange(len(groups)), [len(of_group) for of_group in motions])
     if not found:
         return ()
     # 4 motions and points together, by reprojection
@@ -76,7 +79,7 @@ def measure_objects(
     # 5 what is left of each: enough points, moving, and not a part of another
     T_world_cam0 = views.T_world_cam0[-1, 0]
     is_static = STATIC_TESTS[settings.static_test]
-    bodies = []
+    bodies: list[tuple[int, ObjectMeasurement]] = []
     for k in range(len(found)):
         own = np.flatnonzero((views.body == k) & refined.inlier)
         if len(own) < settings.min_points:
@@ -86,7 +89,7 @@ def measure_objects(
         body = _with_ego_covariance(body, window, then)
         fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
         if fast and not is_static(_as_found(body, T_world_cam0), rig, settings):
-            bodies.append(body)
+            bodies.append((int(group_of[k]), body))
     return _without_parts(bodies, settings)
 
 
@@ -225,14 +228,20 @@ def _as_found(body: ObjectMeasurement, T_world_cam0: FloatArray) -> FoundMotion:
 
 
 def _without_parts(
-    bodies: list[ObjectMeasurement], settings: ObjectSettings
+    bodies: list[tuple[int, ObjectMeasurement]], settings: ObjectSettings
 ) -> tuple[ObjectMeasurement, ...]:
-    """Those that do not lie at a larger one and move like it: such are parts of it."""
-    kept: list[ObjectMeasurement] = []
-    for body in sorted(bodies, key=lambda b: len(b.feature_id), reverse=True):
-        if not any(_is_part(body, larger, settings) for larger in kept):
-            kept.append(body)
-    return tuple(kept)
+    """Those, of (group, body), that are no part of a larger one.
+
+    Parts lie at the larger body and move like it, and come from the same group or have few points.
+    """
+    kept: list[tuple[int, ObjectMeasurement]] = []
+    for group, body in sorted(bodies, key=lambda b: len(b[1].feature_id), reverse=True):
+        few = len(body.feature_id) <= _FEW
+        if not any(
+            (few or group == other) and _is_part(body, larger, settings) for other, larger in kept
+        ):
+            kept.append((group, body))
+    return tuple(body for _, body in kept)
 
 
 def _is_part(

@@ -18,8 +18,9 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import inverse_3x3, project_plane
 
-_ITERATIONS = 8
-_SMALL_STEP = 1e-4  # m/s and rad/s
+_ITERATIONS = 6
+_WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
+_SMALL_STEP = 5e-3  # m/s and rad/s
 _HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
 _OUTLIER_SHARE = 0.001  # of good points that count as wrong
 _MIN_INVERSE_DEPTH = 1e-3
@@ -40,6 +41,14 @@ class BodyViews:
     span_s: FloatArray
     hops: FloatArray
     origin: FloatArray
+
+    @property
+    def about_origin(self) -> tuple[FloatArray, FloatArray]:
+        """From world axes about the origin into each view (V, B, 4, 4), and out of the present one
+        (B, 4, 4)."""
+        T = self.T_world_cam0.copy()
+        T[..., :3, 3] -= self.origin
+        return se3.inverse(T), T[-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +91,7 @@ def refine_bodies(
         left = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
         weight = np.minimum(1.0, huber / np.sqrt(np.maximum(left, 1e-12)))
         # Points far off now may only wait for a better motion: none is left out at first.
-        inlier = left < (bound if iteration > 2 else 9.0 * bound)
+        inlier = left < (bound if iteration >= _WIDE_ITERATIONS else 9.0 * bound)
         weight = np.where(inlier, weight, 0.0)[:, None, None]
         K = np.swapaxes(cross, -1, -2) @ N_inverse
         Jt = np.swapaxes(J, -1, -2)
@@ -96,7 +105,7 @@ def refine_bodies(
         point = point + follow
         point[:, 2] = np.maximum(point[:, 2], _MIN_INVERSE_DEPTH)
         twist = twist + step
-        if iteration > 2 and np.abs(step).max() < _SMALL_STEP:
+        if iteration >= _WIDE_ITERATIONS and np.abs(step).max() < _SMALL_STEP:
             break
     # Misfit beyond the noise told widens the covariance; less misfit does not narrow it.
     kept = np.where(inlier, 1.0, 0.0)
@@ -164,21 +173,19 @@ class Weighting:
         arm = np.concatenate([-so3.hat(D), inverse_depth[..., None] * np.eye(3)], axis=-1)
         by_motion = (by_q @ C[:, body]) @ (arm @ E[:, body])
         r = self._seen - np.concatenate([h0, h1], axis=-1)
-        return self._whiten(r[..., None]), self._whiten(by_point), self._whiten(by_motion)
+        rows = np.concatenate([r[..., None], by_point, by_motion], axis=-1)
+        white = self._whiten(rows)
+        return white[..., :1], white[..., 1:4], white[..., 4:]
 
     def _whiten(self, rows: FloatArray) -> FloatArray:
         """(V, M, 4, k) in plane units to (M, 4V, k) in standard deviations."""
-        pixels = rows * self._focal[:, None]
-        left, right = pixels[..., :2, :], pixels[..., 2:, :]
-        out = np.concatenate(
-            [
-                (left - right) * self._by_difference[..., None, None],
-                (left + right) * self._by_sum[..., None, None],
-            ],
-            axis=-2,
-        )
-        n_views, n_points, _, width = out.shape
-        return np.moveaxis(out, 0, 1).reshape(n_points, 4 * n_views, width)
+        left, right = rows[..., :2, :] * self._focal[:2, None], rows[..., 2:, :] * self._focal[2:, None]
+        n_views, n_points, _, width = left.shape
+        out = np.empty((n_points, n_views, 4, width))
+        by_view = np.swapaxes(out, 0, 1)
+        by_view[..., :2, :] = (left - right) * self._by_difference[..., None, None]
+        by_view[..., 2:, :] = (left + right) * self._by_sum[..., None, None]
+        return out.reshape(n_points, 4 * n_views, width)
 
 
 def moved_views(
@@ -190,14 +197,10 @@ def moved_views(
     into the view, and τ = E δ with E = -s J_r(-s ξ) (V, B, 6, 6).
     """
     backwards = -views.span_s[..., None] * twist
-    M = se3.exp(backwards)
-    to_origin = se3.make(np.eye(3), -views.origin)
-    from_origin = se3.make(np.eye(3), views.origin)
-    T_cam0_world = se3.inverse(views.T_world_cam0)
-    T_then_now = T_cam0_world @ from_origin @ M @ to_origin @ views.T_world_cam0[-1]
-    C = T_cam0_world[..., :3, :3] @ M[..., :3, :3]
+    into_view, out_of_now = views.about_origin
+    into_view = into_view @ se3.exp(backwards)
     E = -views.span_s[..., None, None] * se3.right_jacobian(backwards)
-    return T_then_now, (C, E)
+    return into_view @ out_of_now, (into_view[..., :3, :3], E)
 
 
 def _world_points(point: FloatArray, views: BodyViews) -> tuple[FloatArray, FloatArray]:

@@ -6,10 +6,10 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
-from ovmot.geometry import se3, so3
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.registration import register_rigid, triangle_height
-from ovmot.geometry.triangulation import project_stereo
+from ovmot.geometry.triangulation import inverse_3x3, project_stereo
 from ovmot.objects.grouping import MotionHistory
 
 _GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
@@ -47,7 +47,7 @@ def extract_motions(
     while len(left) >= settings.min_points:
         # How a body accelerates does not tell its points apart: look as far back as helps.
         row = best_row(points, left, accel_sigma=0.0)
-        seen = left[points.comparison.tested[row, left]]
+        seen = left[points.weight[row, left, 0, 0] > 0.0]
         if len(seen) < settings.min_points:
             break
         T, inlier = ransac_motion(points, seen, row, rig, rng)
@@ -64,16 +64,11 @@ def best_row(points: MotionHistory, index: IntArray, accel_sigma: float) -> int:
     Noise of the points falls with the span and with their number, what the body may have
     accelerated (standard deviation in m/s²) grows with the span: the least expected squared error.
     """
-    comparison = points.comparison
-    tested = comparison.tested[:, index]
-    J = np.where(tested[..., None, None], comparison.J_motion[:, index], 0.0)
-    S = np.where(tested[..., None, None], comparison.S[:, index], np.eye(4))
-    information = (np.swapaxes(J, -1, -2) @ np.linalg.solve(S, J)).sum(1)
-    covariance = np.linalg.inv(information + 1e-6 * np.eye(3))
-    span = comparison.span_s
-    error = np.trace(covariance, axis1=1, axis2=2) / span**2
+    information = points.information[:, index].sum(1) + 1e-6 * np.eye(3)
+    span = points.comparison.span_s
+    error = np.trace(inverse_3x3(information), axis1=1, axis2=2) / span**2
     error = error + 2.0 * (0.5 * accel_sigma * span) ** 2
-    seen = tested.sum(1)
+    seen = (points.weight[:, index, 0, 0] > 0.0).sum(1)
     return int(np.argmin(np.where(seen >= _SHARE_OF_POINTS * seen.max(), error, np.inf)))
 
 
@@ -89,7 +84,7 @@ def ransac_motion(
     """
     comparison, n = points.comparison, len(index)
     p, q = comparison.predicted[row, index], points.p_cam0[index]
-    W = np.linalg.inv(comparison.S[row, index])
+    W = points.weight[row, index]
     sigma = np.sqrt(points.cov_cam0[index, 2, 2])
     best_cost, best_T = np.inf, np.eye(4)
     best = np.zeros(n, dtype=np.bool_)
@@ -127,8 +122,8 @@ def _proposals(
     shift = se3.make(np.eye(3), t)
     wide = triangle_height(q) > _HEIGHT_SIGMAS * sigma.max(1)
     rigid = register_rigid(p[wide], q[wide])
-    angle = np.linalg.norm(so3.log(rigid[:, :3, :3]), axis=1)
-    rigid = rigid[angle < _MAX_RATE * span_s]
+    cosine = 0.5 * (np.trace(rigid[:, :3, :3], axis1=1, axis2=2) - 1.0)
+    rigid = rigid[cosine > np.cos(_MAX_RATE * span_s)]
     penalty = np.concatenate([np.zeros(len(shift)), np.full(len(rigid), _TURN_PENALTY)])
     return np.concatenate([shift, rigid]), penalty
 
