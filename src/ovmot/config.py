@@ -202,6 +202,8 @@ class ObjectSettings(Section):
     """Points farther than this belong to no body."""
     neighbour_radius_m: float = Field(1.8, gt=0.0)
     """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
+    body_width_m: float = Field(2.7, gt=0.0)
+    """Neighbouring groups that move alike and together are no wider across are one body."""
     min_points: int = Field(3, ge=3)
     """Bodies with fewer points are left out."""
     pixel_sigma: float = Field(0.3, gt=0.0)

@@ -18,6 +18,7 @@ from ovmot.objects.motion_tests import fit_velocity
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
+_SPREAD_SHARE = 0.05  # and as a share of the speed
 _GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _REACH_SIGMAS = 2.0  # along the ray, on top of the radius
 _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
@@ -34,7 +35,8 @@ class MotionHistory:
     `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
     `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
     are. `weight` (L, M, 4, 4): inverse of the comparison's S, zero where untested; `information`
-    (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes.
+    (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up`
+    (3,): the world's z in them.
     """
 
     feature_id: IntArray
@@ -47,6 +49,7 @@ class MotionHistory:
     information: FloatArray
     velocity: FloatArray
     velocity_cov: FloatArray
+    up: FloatArray
 
 
 def motion_history(
@@ -100,6 +103,7 @@ def motion_history(
         information=np.swapaxes(J, -1, -2) @ weight @ J,
         velocity=velocity[kept],
         velocity_cov=covariance[kept],
+        up=(window.T_world_imu[-1] @ rig.T_imu_cam0)[2, :3],
     )
 
 
@@ -158,37 +162,82 @@ def _rows(table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...])
 
 
 def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:
-    """Indices of the points of each connected component of like movers, largest first."""
-    pairs = _near_pairs(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
+    """Indices of the points of each connected component of like movers, largest first.
+
+    Components that move alike, touch, and together are no wider than a body are one.
+    """
+    scaled = _stretched(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
+    pairs = _near_pairs(scaled, settings.neighbour_radius_m)
     pairs = pairs[_same_velocity(points, pairs)]
     n = len(points.feature_id)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, component = connected_components(graph, directed=False)
-    size = np.bincount(component)
-    large = np.flatnonzero(size >= settings.min_points)
-    by_size = large[np.argsort(-size[large], kind="stable")]
-    return tuple(np.flatnonzero(component == k) for k in by_size)
+    n_components, component = connected_components(graph, directed=False)
+    pieces = [np.flatnonzero(component == k) for k in range(n_components)]
+    pieces = sorted((p for p in pieces if len(p) > 1), key=len, reverse=True)
+    joined: list[IntArray] = []
+    for piece in pieces:
+        for k, whole in enumerate(joined):
+            if _are_one(points, scaled, whole, piece, settings):
+                joined[k] = np.concatenate([whole, piece])
+                break
+        else:
+            joined.append(piece)
+    return tuple(group for group in joined if len(group) >= settings.min_points)
 
 
-def _near_pairs(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> IntArray:
-    """Pairs (P, 2) of points within `radius` across the rays, farther along them.
+def _are_one(
+    points: MotionHistory,
+    scaled: FloatArray,
+    whole: IntArray,
+    piece: IntArray,
+    settings: ObjectSettings,
+) -> bool:
+    """Do two groups touch, move alike, and together measure no more across than a body?"""
+    apart = np.linalg.norm(scaled[whole][:, None] - scaled[piece][None], axis=-1).min()
+    if apart > settings.neighbour_radius_m:
+        return False
+    v_whole, v_piece = (np.median(points.velocity[index], axis=0) for index in (whole, piece))
+    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_whole))
+    C = spread**2 * np.eye(3)
+    for index in (whole, piece):
+        C = C + points.velocity_cov[index].mean(0) / len(index)
+    dv = v_whole - v_piece
+    if dv @ np.linalg.solve(C, dv) > _GATE:
+        return False
+    across = np.cross(points.up, v_whole)
+    across = across / max(float(np.linalg.norm(across)), 1e-9)
+    both = np.concatenate([whole, piece])
+    along = points.p_cam0[both] @ across
+    sigma = np.sqrt(np.median((points.cov_cam0[both] @ across) @ across))
+    return bool(np.ptp(along) - 2.0 * sigma < settings.body_width_m)
 
-    And only where each is among the other's nearest few: bodies side by side with many points
-    stay apart. Along the ray, stereo scatters by s z², so that the reach there is r + k s z². In
-    the depth u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r everywhere.
+
+def _stretched(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> FloatArray:
+    """Points (M, 3) with a depth in which near means within `radius`, as across the ray.
+
+    Along the ray stereo scatters by s z², so that the reach there is r + k s z². In the depth
+    u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r everywhere.
     """
     z = p_cam0[:, 2]
     # Two points scatter: √2 of one.
     ks = _REACH_SIGMAS * np.sqrt(2.0) * float(np.median(np.sqrt(cov_cam0[:, 2, 2]) / z**2))
     u = np.sqrt(radius / ks) * np.arctan(z * np.sqrt(ks / radius))
-    scaled = np.column_stack([p_cam0[:, :2], u])
-    k = min(_NEIGHBOURS + 1, len(z))
+    return np.column_stack([p_cam0[:, :2], u])
+
+
+def _near_pairs(scaled: FloatArray, radius: float) -> IntArray:
+    """Pairs (P, 2) within `radius` that are each among the other's nearest few.
+
+    So bodies side by side stay apart where they have many points.
+    """
+    n = len(scaled)
+    k = min(_NEIGHBOURS + 1, n)
     found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=radius)
     apart, other = np.asarray(found[0]), np.asarray(found[1])
     a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
-    near = np.zeros((len(z), len(z)), dtype=np.bool_)
+    near = np.zeros((n, n), dtype=np.bool_)
     near[a, other[:, 1:][a, slot]] = True
-    return np.argwhere(np.triu(near & near.T))
+    return np.argwhere(np.triu(near & near.T, 1))
 
 
 def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:
