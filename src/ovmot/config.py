@@ -249,6 +249,49 @@ class SplitSettings(Section):
     """Covariance test: further standard deviation, as a share of the way through the image."""
 
 
+class ObjectSettings(Section):
+    """Moving rigid bodies: from dynamic points to one measurement a body."""
+
+    look_back_s: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.1)
+    """Earlier times to choose from; each body is compared with the one that tells most."""
+    max_range_m: float = Field(60.0, gt=0.0)
+    """Points farther than this belong to no body."""
+    neighbour_radius_m: float = Field(1.8, gt=0.0)
+    """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
+    body_width_m: float = Field(2.7, gt=0.0)
+    """Neighbouring groups that move alike and together are no wider across are one body."""
+    min_points: int = Field(3, ge=3)
+    """Bodies with fewer points are left out."""
+    pixel_sigma: float = Field(0.3, gt=0.0)
+    """Standard deviation of each coordinate of a stereo pair, pixels."""
+    slide_per_hop_px: float = Field(0.15, ge=0.0)
+    """How far a followed patch slides from one frame to the next, standard deviation, pixels."""
+    slide_per_flow: float = Field(0.01, ge=0.0)
+    """Further slide, as a share of the way through the image."""
+    accel_sigma_mps2: float = Field(1.0, ge=0.0)
+    """Standard deviation of a body's acceleration, which one velocity over the span leaves out."""
+    yaw_rate_sigma_rps: float = Field(0.4, gt=0.0)
+    """Standard deviation of yaw rates: decides where the points do not tell."""
+    tilt_rate_sigma_rps: float = Field(0.03, gt=0.0)
+    """The same of pitch and roll rates."""
+    min_speed_mps: float = Field(0.5, ge=0.0)
+    """Bodies slower than this are not measured."""
+    static_test: Literal["covariance", "fixed"] = "covariance"
+    """Refuse static motions by the velocity's covariance, or by the fixed thresholds below."""
+    static_false_alarm: float = Field(1e-4, gt=0.0, lt=0.5)
+    """Covariance test: probability that a group at rest is called a moving body."""
+    alpha_m: float = Field(0.1, ge=0.0)
+    """Fixed test: mean displacement over the span that a body must show, depth weighted down."""
+    beta_m: float = Field(0.5, ge=0.0)
+    """Fixed test: further displacement, divided by the number of points."""
+    gamma_px_m: float = Field(20.0, ge=0.0)
+    """Fixed test: mean displacement in the image, divided by the mean depth."""
+    delta_px: float = Field(3.0, ge=0.0)
+    """Fixed test: further displacement in the image, divided by the number of points."""
+    depth_weight: float = Field(0.3, ge=0.0, le=1.0)
+    """Fixed test: weight of the depth component."""
+
+
 class Settings(Section):
     """Everything that a run can be told."""
 
@@ -262,6 +305,7 @@ class Settings(Section):
     health: HealthSettings = HealthSettings()
     given_ego: GivenEgoSettings = GivenEgoSettings()
     split: SplitSettings = SplitSettings()
+    objects: ObjectSettings = ObjectSettings()
 
 
 def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:

@@ -97,18 +97,30 @@ def examine_rest(comparison: Comparison, settings: SplitSettings) -> RestTest:
     span = comparison.span_s[:, None]
     S_rest = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
     distance = np.where(tested, _quadratic(S_rest, r), 0.0).max(0)
-
     S_fit = S + JJt * ((0.5 * _FORGIVEN_ACCEL * span**2) ** 2)[..., None, None]
-    W = np.linalg.inv(S_fit)
-    Jv = np.where(tested[..., None, None], comparison.J_motion, 0.0) * span[..., None, None]
+    velocity, covariance, cost = fit_velocity(comparison, np.linalg.inv(S_fit))
+    rows = tested.sum(0)
+    explained = cost < _FIT_SLACK * chdtri(np.maximum(4 * rows - 3, 1), 0.001)
+    return RestTest(distance, rows, velocity, covariance, explained)
+
+
+def fit_velocity(
+    comparison: Comparison, W: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Velocity (N, 3) in m/s in the camera's axes, its covariance (N, 3, 3) and the cost (N,).
+
+    Weighted least squares on r = J v Δt over all earlier rows, `W` (L, N, 4, 4) the weights.
+    """
+    tested = comparison.tested
+    r = np.where(tested[..., None], comparison.residual, 0.0)
+    span = comparison.span_s[:, None, None, None]
+    Jv = np.where(tested[..., None, None], comparison.J_motion, 0.0) * span
     JtW = np.swapaxes(Jv, -1, -2) @ W
     covariance = inverse_3x3((JtW @ Jv).sum(0) + 1e-6 * np.eye(3))
     v = covariance @ (JtW @ r[..., None]).sum(0)
     left = r - (Jv @ v)[..., 0]
-    cost = np.einsum("lni,lnij,lnj->n", left, W, left)
-    rows = tested.sum(0)
-    explained = cost < _FIT_SLACK * chdtri(np.maximum(4 * rows - 3, 1), 0.001)
-    return RestTest(distance, rows, v[..., 0], covariance, explained)
+    cost: FloatArray = np.einsum("lni,lnij,lnj->n", left, W, left)
+    return v[..., 0], covariance, cost
 
 
 def fixed_test(evidence: Evidence, settings: SplitSettings) -> Verdict:

@@ -1,0 +1,250 @@
+"""Groups of points that are near each other and move alike: the candidates for rigid bodies."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.special import chdtri
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import ObjectSettings
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
+from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
+from ovmot.objects.motion_tests import fit_velocity
+from ovmot.tracks import TrackTable
+from ovmot.types import PointLabel, PoseWindow, ScenePoints
+
+_SPREAD_SHARE = 0.05  # and as a share of the speed
+_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
+_REACH_SIGMAS = 2.0  # along the ray, on top of the radius
+_SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
+_MOVES = 7.81  # 95 % of the same: less tells no motion
+_HINT = 4.0  # squared sigmas that make a point worth a closer look
+_NEIGHBOURS = 5  # nearest ones among which two must be to be linked
+_FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
+
+
+@dataclass(frozen=True, slots=True)
+class MotionHistory:
+    """M points that may move, over L earlier rows and now.
+
+    `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
+    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
+    are. `weight` (L, M, 4, 4): inverse of the comparison's S, zero where untested; `information`
+    (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up`
+    (3,): the world's z in them.
+    """
+
+    feature_id: IntArray
+    hops: IntArray
+    history: StereoHistory
+    comparison: Comparison
+    p_cam0: FloatArray
+    cov_cam0: FloatArray
+    weight: FloatArray
+    information: FloatArray
+    velocity: FloatArray
+    velocity_cov: FloatArray
+    up: FloatArray
+
+
+def motion_history(
+    table: TrackTable,
+    points: ScenePoints,
+    window: PoseWindow,
+    rig: StereoRig,
+    settings: ObjectSettings,
+) -> MotionHistory | None:
+    """What the table knows of all points that are not static; None where that is nothing."""
+    rows = _rows(table, window, settings.look_back_s)
+    order = np.argsort(table.feature_id)
+    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
+    history = StereoHistory(
+        then=table.normalized[rows][:, column],
+        now=table.normalized[-1, column],
+        clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
+        span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
+    )
+    shown = _displaced(history, points, window, rig) > _HINT
+    shown |= points.label != int(PointLabel.STATIC)
+    with np.errstate(invalid="ignore"):
+        near = points.p_cam0[:, 2] < settings.max_range_m
+    candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
+    if len(rows) == 0 or len(candidate) < settings.min_points:
+        return None
+    history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
+    comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
+    W = np.linalg.inv(_with_acceleration(comparison, settings.accel_sigma_mps2))
+    W = np.where(comparison.tested[..., None, None], W, 0.0)
+    velocity, covariance, cost = fit_velocity(comparison, W)
+    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
+    distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
+    kept = np.flatnonzero(steady & (distance > _MOVES))
+    if len(kept) < settings.min_points:
+        return None
+    p_cam0 = points.p_cam0[candidate[kept]]
+    sigma = plane_sigma(rig, settings.pixel_sigma)
+    comparison = _only(comparison, kept)
+    tested = comparison.tested[..., None, None]
+    weight = np.where(tested, np.linalg.inv(np.where(tested, comparison.S, np.eye(4))), 0.0)
+    J = np.where(tested, comparison.J_motion, 0.0)
+    return MotionHistory(
+        feature_id=points.feature_id[candidate[kept]],
+        hops=len(table.frame_ns) - 1 - rows,
+        history=replace(history, then=history.then[:, kept], now=history.now[kept]),
+        comparison=comparison,
+        p_cam0=p_cam0,
+        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
+        weight=weight,
+        information=np.swapaxes(J, -1, -2) @ weight @ J,
+        velocity=velocity[kept],
+        velocity_cov=covariance[kept],
+        up=(window.T_world_imu[-1] @ rig.T_imu_cam0)[2, :3],
+    )
+
+
+def _only(comparison: Comparison, index: IntArray) -> Comparison:
+    """The comparison of some points."""
+    return Comparison(
+        comparison.span_s,
+        comparison.predicted[:, index],
+        comparison.residual[:, index],
+        comparison.J[:, index],
+        comparison.J_motion[:, index],
+        comparison.S[:, index],
+    )
+
+
+def _displaced(
+    history: StereoHistory, points: ScenePoints, window: PoseWindow, rig: StereoRig
+) -> FloatArray:
+    """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
+
+    Axes apart and with today's covariance for both times: quick, to spare most points the rest.
+    """
+    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
+    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
+    carried = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, rig.T_cam1_cam0))
+    apart = (carried - points.p_cam0) ** 2
+    variance = 2.0 * np.diagonal(points.cov_cam0, axis1=1, axis2=2)
+    squared = (apart / variance).sum(-1)
+    oldest: FloatArray = np.zeros(len(points.feature_id))
+    for row in squared[::-1]:
+        oldest = np.where(np.isfinite(row), row, oldest)
+    return oldest
+
+
+def _with_acceleration(comparison: Comparison, accel_sigma: float) -> FloatArray:
+    """Covariance (L, N, 4, 4) of residuals when the velocity may change on the way."""
+    tested = comparison.tested[..., None, None]
+    J = np.where(tested, comparison.J, 0.0)
+    S = np.where(tested, comparison.S, np.eye(4))
+    slack = (0.5 * accel_sigma * comparison.span_s**2) ** 2
+    return S + J @ np.swapaxes(J, -1, -2) * slack[:, None, None, None]
+
+
+def _rows(table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...]) -> IntArray:
+    """Earlier rows with a pose near each look-back time, oldest first."""
+    posed = np.isin(table.clone_ns, window.timestamp_ns)
+    posed[-1] = False
+    rows = np.flatnonzero(posed)
+    if len(rows) == 0:
+        return rows
+    age = (table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9
+    apart = np.abs(age[None] - np.array(look_back_s)[:, None])
+    nearest = apart.argmin(1)
+    near = apart.min(1) < 0.3 * np.array(look_back_s)
+    return np.unique(rows[nearest[near]])
+
+
+def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:
+    """Indices of the points of each connected component of like movers, largest first.
+
+    Components that move alike, touch, and together are no wider than a body are one.
+    """
+    scaled = _stretched(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
+    pairs = _near_pairs(scaled, settings.neighbour_radius_m)
+    pairs = pairs[_same_velocity(points, pairs)]
+    n = len(points.feature_id)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_components, component = connected_components(graph, directed=False)
+    pieces = [np.flatnonzero(component == k) for k in range(n_components)]
+    pieces = sorted((p for p in pieces if len(p) > 1), key=len, reverse=True)
+    joined: list[IntArray] = []
+    for piece in pieces:
+        for k, whole in enumerate(joined):
+            if _are_one(points, scaled, whole, piece, settings):
+                joined[k] = np.concatenate([whole, piece])
+                break
+        else:
+            joined.append(piece)
+    return tuple(group for group in joined if len(group) >= settings.min_points)
+
+
+def _are_one(
+    points: MotionHistory,
+    scaled: FloatArray,
+    whole: IntArray,
+    piece: IntArray,
+    settings: ObjectSettings,
+) -> bool:
+    """Do two groups touch, move alike, and together measure no more across than a body?"""
+    apart = np.linalg.norm(scaled[whole][:, None] - scaled[piece][None], axis=-1).min()
+    if apart > settings.neighbour_radius_m:
+        return False
+    v_whole, v_piece = (np.median(points.velocity[index], axis=0) for index in (whole, piece))
+    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_whole))
+    C = spread**2 * np.eye(3)
+    for index in (whole, piece):
+        C = C + points.velocity_cov[index].mean(0) / len(index)
+    dv = v_whole - v_piece
+    if dv @ np.linalg.solve(C, dv) > _GATE:
+        return False
+    across = np.cross(points.up, v_whole)
+    across = across / max(float(np.linalg.norm(across)), 1e-9)
+    both = np.concatenate([whole, piece])
+    along = points.p_cam0[both] @ across
+    sigma = np.sqrt(np.median((points.cov_cam0[both] @ across) @ across))
+    return bool(np.ptp(along) - 2.0 * sigma < settings.body_width_m)
+
+
+def _stretched(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> FloatArray:
+    """Points (M, 3) with a depth in which near means within `radius`, as across the ray.
+
+    Along the ray stereo scatters by s z², so that the reach there is r + k s z². In the depth
+    u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r everywhere.
+    """
+    z = p_cam0[:, 2]
+    # Two points scatter: √2 of one.
+    ks = _REACH_SIGMAS * np.sqrt(2.0) * float(np.median(np.sqrt(cov_cam0[:, 2, 2]) / z**2))
+    u = np.sqrt(radius / ks) * np.arctan(z * np.sqrt(ks / radius))
+    return np.column_stack([p_cam0[:, :2], u])
+
+
+def _near_pairs(scaled: FloatArray, radius: float) -> IntArray:
+    """Pairs (P, 2) within `radius` that are each among the other's nearest few.
+
+    So bodies side by side stay apart where they have many points.
+    """
+    n = len(scaled)
+    k = min(_NEIGHBOURS + 1, n)
+    found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=radius)
+    apart, other = np.asarray(found[0]), np.asarray(found[1])
+    a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
+    near = np.zeros((n, n), dtype=np.bool_)
+    near[a, other[:, 1:][a, slot]] = True
+    return np.argwhere(np.triu(near & near.T, 1))
+
+
+def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:
+    """Which pairs (P,) have velocities that agree within their covariance."""
+    a, b = pairs[:, 0], pairs[:, 1]
+    dv = points.velocity[a] - points.velocity[b]
+    C = points.velocity_cov[a] + points.velocity_cov[b] + _SPEED_SPREAD**2 * np.eye(3)
+    distance = (dv * np.linalg.solve(C, dv[..., None])[..., 0]).sum(-1)
+    agrees: BoolArray = distance < _GATE
+    return agrees

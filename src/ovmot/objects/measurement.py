@@ -1,0 +1,256 @@
+"""From a frame's moving points to measurements of moving rigid bodies; keeps nothing."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import ObjectSettings
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.grouping import MotionHistory, group_points, motion_history
+from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
+from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
+from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion
+from ovmot.tracks import TrackTable
+from ovmot.types import PoseWindow, ScenePoints
+
+_YAW_KNOWN = 0.7  # of the prior's standard deviation: where the points have told something
+_FEW = 4  # points that may be a part of a body, though their group is another
+_REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
+_SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
+_SPREAD_SHARE = 0.05  # and as a share of the speed
+_SAME_GATE = 16.27  # 99.9 % of chi-squared with 3 degrees of freedom
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectMeasurement:
+    """One group of points that moves as one rigid body between an earlier frame and now.
+
+    All in world, SI. `feature_id` (N,) of the inliers, `p_world` (N, 3) their refined positions
+    now. `position` (3,): centre of their box now; `velocity` (3,) of the body there. `yaw_rate`
+    about world z in rad/s, NaN where the points are too few or too close together to tell, with
+    its variance. `T_now_before` (4, 4): motion in world over `span_s`, p_now = T p_before.
+    `covariance` (6, 6) of position and velocity, with the ego poses' part at both times; it knows
+    how well the seen points are known, not how they lie on the body. `size` (3,): length, width,
+    height of the box of the points, along the heading.
+    """
+
+    feature_id: IntArray
+    p_world: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    yaw_rate: float
+    T_now_before: FloatArray
+    span_s: float
+    covariance: FloatArray
+    yaw_rate_variance: float
+    size: FloatArray
+
+
+def measure_objects(
+    table: TrackTable,
+    points: ScenePoints,
+    window: PoseWindow,
+    rig: StereoRig,
+    settings: ObjectSettings,
+    rng: np.random.Generator,
+) -> tuple[ObjectMeasurement, ...]:
+    """The moving bodies of the newest frame, those with most points first.
+
+    `table` holds that frame as its last row, `points` its split, `window` the corrected poses.
+    """
+    # 1 what each point did over the last frames
+    history = motion_history(table, points, window, rig, settings)
+    if history is None:
+        return ()
+    # 2 neighbours that move alike
+    groups = group_points(history, settings)
+    # 3 rigid motions in each group
+    motions = [extract_motions(history, group, rig, settings, rng) for group in groups]
+    found = [motion for of_group in motions for motion in of_group]
+    group_of = np.repeat(np.arange(len(groups)), [len(of_group) for of_group in motions])
+    if not found:
+        return ()
+    # 4 motions and points together, by reprojection
+    views, twist, row = _views_of(history, found, window, rig, settings)
+    index = np.concatenate([group.index for group in found])
+    refined = refine_bodies(views, twist, history.p_cam0[index], rig, settings)
+    # 5 what is left of each: enough points, moving, and not a part of another
+    T_world_cam0 = views.T_world_cam0[-1, 0]
+    is_static = STATIC_TESTS[settings.static_test]
+    bodies: list[tuple[int, ObjectMeasurement]] = []
+    for k in range(len(found)):
+        own = np.flatnonzero((views.body == k) & refined.inlier)
+        if len(own) < settings.min_points:
+            continue
+        then = int(history.history.clone_index[row[k]])
+        body = _measurement(k, own, history.feature_id[index[own]], views, refined, settings)
+        body = _with_ego_covariance(body, window, then)
+        fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
+        if fast and not is_static(_as_found(body, T_world_cam0), rig, settings):
+            bodies.append((int(group_of[k]), body))
+    return _without_parts(bodies, settings)
+
+
+def _views_of(
+    history: MotionHistory, found: list[RigidGroup], window: PoseWindow, rig: StereoRig,
+    settings: ObjectSettings,
+) -> tuple[BodyViews, FloatArray, IntArray]:
+    """Each body's points in three views: its earlier row, one half way if there is one, now.
+
+    And the twists (B, 6) that the rigid motions amount to.
+    """
+    past = history.history
+    index = np.concatenate([group.index for group in found])
+    body = np.repeat(np.arange(len(found)), [len(group.index) for group in found])
+    accel = settings.accel_sigma_mps2
+    row = np.array([best_row(history, group.index, accel) for group in found])
+    between = np.array([_row_between(past.span_s, k) for k in row.tolist()])
+    rows = np.stack([row, between])
+    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
+    T_now = T_world_cam0[-1]
+    now = np.broadcast_to(T_now, (1, len(found), 4, 4))
+    earlier = past.then[rows[:, body], index]
+    earlier[1, (between == row)[body]] = np.nan  # no third view
+    none = np.zeros((1, len(found)))
+    centre = np.stack([history.p_cam0[group.index].mean(0) for group in found])
+    views = BodyViews(
+        seen=np.concatenate([earlier, past.now[None, index]]),
+        body=body,
+        T_world_cam0=np.concatenate([T_world_cam0[past.clone_index[rows]], now]),
+        span_s=np.concatenate([past.span_s[rows], none]),
+        hops=np.concatenate([history.hops[rows].astype(np.float64), none]),
+        origin=se3.apply(T_now, centre),
+    )
+    T_now_then = np.stack([group.T_now_then for group in found])
+    shift = se3.make(np.eye(3), views.origin)
+    T_world = se3.inverse(shift) @ T_now @ T_now_then @ se3.inverse(T_now) @ shift
+    span = past.span_s[[group.row for group in found]]
+    return views, se3.log(T_world) / span[:, None], row
+
+
+def _row_between(span_s: FloatArray, row: int) -> int:
+    """The row nearest to half the span of `row`, among the younger ones; `row` if none is."""
+    younger = np.flatnonzero(span_s < span_s[row])
+    if len(younger) == 0:
+        return row
+    return int(younger[np.argmin(np.abs(span_s[younger] - 0.5 * span_s[row]))])
+
+
+def _measurement(
+    k: int,
+    own: IntArray,
+    feature_id: IntArray,
+    views: BodyViews,
+    refined: RefinedBodies,
+    settings: ObjectSettings,
+) -> ObjectMeasurement:
+    """Body k with its points `own` (n,): the covariance is that of the refinement alone."""
+    omega, v_origin = refined.twist[k, :3], refined.twist[k, 3:]
+    span = float(views.span_s[0, k])
+    p = refined.p_world[own]
+    position, size = _box(p, v_origin)
+    arm = position - views.origin[k]
+    # position follows the twist as its points do on the mean, velocity by v + ω x arm
+    J = np.zeros((6, 6))
+    J[:3] = refined.by_twist[own].mean(0)
+    J[3:, :3], J[3:, 3:] = -so3.hat(arm), np.eye(3)
+    covariance = J @ refined.covariance[k] @ J.T
+    covariance[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
+    covariance[3:, 3:] += (0.5 * settings.accel_sigma_mps2 * span) ** 2 * np.eye(3)
+    variance = float(refined.covariance[k, 2, 2])
+    known = variance < (_YAW_KNOWN * settings.yaw_rate_sigma_rps) ** 2
+    shift = se3.make(np.eye(3), views.origin[k])
+    return ObjectMeasurement(
+        feature_id=feature_id,
+        p_world=p,
+        position=position,
+        velocity=v_origin + np.cross(omega, arm),
+        yaw_rate=float(omega[2]) if known else float("nan"),
+        T_now_before=shift @ se3.exp(span * refined.twist[k]) @ se3.inverse(shift),
+        span_s=span,
+        covariance=covariance,
+        yaw_rate_variance=variance,
+        size=size,
+    )
+
+
+def _box(p_world: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre (3,) in world and size (3,) of the box of points (N, 3), along the velocity."""
+    speed = np.hypot(velocity[0], velocity[1])
+    c, s = velocity[:2] / speed if speed > 1e-9 else (1.0, 0.0)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    local = p_world @ R
+    low, high = local.min(0), local.max(0)
+    return R @ (0.5 * (low + high)), high - low
+
+
+def _with_ego_covariance(
+    body: ObjectMeasurement, window: PoseWindow, then: int
+) -> ObjectMeasurement:
+    """The measurement with the uncertainty of the poses now and `then` added.
+
+    Points are known in the cameras' frames: δp = -R [p_imu]x δθ + δt moves where the body is at
+    each time, and v = (p_now - p_then) / span. Right perturbations of the poses.
+    """
+    p_then = se3.apply(se3.inverse(body.T_now_before), body.position)
+    last = len(window.timestamp_ns) - 1
+    J = np.zeros((7, 12))
+    for clone, p, at in ((last, body.position, 0), (then, p_then, 6)):
+        T = window.T_world_imu[clone]
+        R = T[:3, :3]
+        by_pose = np.hstack([-R @ so3.hat(R.T @ (p - T[:3, 3])), np.eye(3)])
+        sign = 1.0 if clone == last else -1.0
+        J[3:6, at : at + 6] = sign * by_pose / body.span_s
+        J[6, at : at + 3] = sign * R[2] / body.span_s
+        if clone == last:
+            J[:3, :6] = by_pose
+    pick = np.r_[6 * last : 6 * last + 6, 6 * then : 6 * then + 6]
+    added = J @ window.covariance[np.ix_(pick, pick)] @ J.T
+    return replace(
+        body,
+        covariance=body.covariance + added[:6, :6],
+        yaw_rate_variance=body.yaw_rate_variance + float(added[6, 6]),
+    )
+
+
+def _as_found(body: ObjectMeasurement, T_world_cam0: FloatArray) -> FoundMotion:
+    """The body's points now and, had they stayed where they were, in the present left camera."""
+    T_cam0_world = se3.inverse(T_world_cam0)
+    before = se3.apply(se3.inverse(body.T_now_before), body.p_world)
+    return FoundMotion(
+        velocity=body.velocity,
+        covariance=body.covariance[3:, 3:],
+        moved=se3.apply(T_cam0_world, body.p_world),
+        at_rest=se3.apply(T_cam0_world, before),
+    )
+
+
+def _without_parts(
+    bodies: list[tuple[int, ObjectMeasurement]], settings: ObjectSettings
+) -> tuple[ObjectMeasurement, ...]:
+    """Those, of (group, body), that are no part of a larger one.
+
+    Parts lie at the larger body and move like it, and come from the same group or have few points.
+    """
+    kept: list[tuple[int, ObjectMeasurement]] = []
+    for group, body in sorted(bodies, key=lambda b: len(b[1].feature_id), reverse=True):
+        few = len(body.feature_id) <= _FEW
+        if not any(
+            (few or group == other) and _is_part(body, larger, settings) for other, larger in kept
+        ):
+            kept.append((group, body))
+    return tuple(body for _, body in kept)
+
+
+def _is_part(
+    body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings
+) -> bool:
+    apart = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
+    C = body.covariance + larger.covariance
+    reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
+    dv = body.velocity - larger.velocity
+    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(larger.velocity))
+    C_v = C[3:, 3:] + spread**2 * np.eye(3)
+    return bool(apart < reach and dv @ np.linalg.solve(C_v, dv) < _SAME_GATE)

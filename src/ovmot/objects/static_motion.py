@@ -1,0 +1,59 @@
+"""Is a found motion more than the ego motion's own error? Two forms of the answer."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import ObjectSettings
+from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.triangulation import project_stereo
+
+
+@dataclass(frozen=True, slots=True)
+class FoundMotion:
+    """A body's `velocity` (3,) in m/s with covariance (3, 3), and its N points in the present left
+    camera: where they are, `moved` (N, 3), and where the ego motion alone would have them, `at_rest`
+    (N, 3), by the refined earlier points."""
+
+    velocity: FloatArray
+    covariance: FloatArray
+    moved: FloatArray
+    at_rest: FloatArray
+
+
+StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings], bool]
+
+
+def is_static_by_covariance(motion: FoundMotion, rig: StereoRig, settings: ObjectSettings) -> bool:
+    """Chi-squared test of no velocity; the covariance holds the points' and the poses' part."""
+    v = motion.velocity
+    distance = float(v @ np.linalg.solve(motion.covariance, v))
+    return distance < float(chdtri(3, settings.static_false_alarm))
+
+
+def is_static_by_thresholds(motion: FoundMotion, rig: StereoRig, settings: ObjectSettings) -> bool:
+    """Mean displacement below α + β/N metres, or below γ/mean depth + δ/N pixels in the image.
+
+    The depth component is weighted down; of both cameras the worse one counts.
+    """
+    n = len(motion.moved)
+    weights = np.array([1.0, 1.0, settings.depth_weight])
+    apart = np.linalg.norm((motion.moved - motion.at_rest) * weights, axis=1).mean()
+    focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+    h_moved, _ = project_stereo(motion.moved, rig.T_cam1_cam0)
+    h_rest, _ = project_stereo(motion.at_rest, rig.T_cam1_cam0)
+    off = (h_moved - h_rest) * focal
+    pixels = np.maximum(np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])).mean()
+    depth = float(motion.moved[:, 2].mean())
+    small = apart < settings.alpha_m + settings.beta_m / n
+    slight = pixels < settings.gamma_px_m / depth + settings.delta_px / n
+    return bool(small or slight)
+
+
+STATIC_TESTS: dict[str, StaticTest] = {
+    "covariance": is_static_by_covariance,
+    "fixed": is_static_by_thresholds,
+}
