@@ -252,6 +252,10 @@ class SplitSettings(Section):
 class ObjectSettings(Section):
     """Moving rigid bodies: from dynamic points to one measurement a body."""
 
+    enabled: bool = True
+    """Look for bodies and track them."""
+    seed: int = Field(0, ge=0)
+    """Seed of the random samples."""
     look_back_s: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.1)
     """Earlier times to choose from; each body is compared with the one that tells most."""
     max_range_m: float = Field(60.0, gt=0.0)
@@ -292,6 +296,25 @@ class ObjectSettings(Section):
     """Fixed test: weight of the depth component."""
 
 
+class ObjectTrackSettings(Section):
+    """Tracks of moving bodies: how they move, and when they begin and end."""
+
+    accel: float = Field(1.5, gt=0.0)
+    """How much a body accelerates along the ground, m/s^2/sqrt(Hz)."""
+    lift: float = Field(0.2, gt=0.0)
+    """How much it accelerates upwards, m/s^2/sqrt(Hz)."""
+    yaw_accel: float = Field(0.3, gt=0.0)
+    """How much its yaw rate changes, rad/s^2/sqrt(Hz)."""
+    confirm_hits: int = Field(3, ge=1)
+    """Measurements after which a track is confirmed."""
+    confirm_s: float = Field(0.15, ge=0.0)
+    """Time that they must span."""
+    coast_s: float = Field(2.0, ge=0.0)
+    """How long a confirmed track lives unseen."""
+    merge_frames: int = Field(3, ge=1)
+    """Frames in a row after which a track that lies on an older one ends."""
+
+
 class Settings(Section):
     """Everything that a run can be told."""
 
@@ -306,6 +329,7 @@ class Settings(Section):
     given_ego: GivenEgoSettings = GivenEgoSettings()
     split: SplitSettings = SplitSettings()
     objects: ObjectSettings = ObjectSettings()
+    object_tracks: ObjectTrackSettings = ObjectTrackSettings()
 
 
 def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:

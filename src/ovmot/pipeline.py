@@ -2,6 +2,7 @@
 
 from collections import Counter, deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -13,7 +14,9 @@ from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
+from ovmot.objects.measurement import measure_objects
 from ovmot.objects.split import Split, split_points
+from ovmot.objects.tracker import ObjectTracker
 from ovmot.timing import Stopwatch
 from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table, mark_suspects
 from ovmot.types import (
@@ -24,15 +27,17 @@ from ovmot.types import (
     FrontendFrame,
     Health,
     ImuSample,
+    ObjectTrack,
     PointLabel,
     PoseWindow,
+    ScenePoints,
     StereoFrame,
     StereoMatches,
 )
 
 _IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
 
-STAGES = ("start", "predict", "match", "split", "correct", "forget")
+STAGES = ("start", "predict", "match", "split", "correct", "objects", "forget")
 
 
 class FrontEnd(Protocol):
@@ -136,6 +141,10 @@ class Pipeline:
         self._frontend: FrontEnd = frontend or StereoTracker(
             rig, settings.tracker, settings.epipolar
         )
+        self._objects: ObjectTracker | None = None
+        if settings.objects.enabled:
+            self._objects = ObjectTracker(rig, settings.object_tracks)
+        self._rng = np.random.default_rng(settings.objects.seed)
         self._imu = ImuBuffer()
         self._ego: Ego | None = None
         self._table = empty_table()
@@ -187,7 +196,9 @@ class Pipeline:
         # 4 correct: zero velocity, ended features
         with watch.stage("correct"):
             ego, table = ego.correct(table)
-        # 5 objects, 6 focus: not built yet
+        # 5 objects: group, fit rigid motions, refine, and track, by the corrected motion
+        with watch.stage("objects"):
+            tracks, points = self._track_objects(table, split.points, ego)
         # 7 forget: the oldest pose leaves, or the newest when standing
         with watch.stage("forget"):
             self._ego, self._table = ego.forget(table)
@@ -195,9 +206,9 @@ class Pipeline:
         result = FrameResult(
             frame=frame,
             ego=self._ego.estimate(frame.timestamp_ns),
-            points=split.points,
+            points=points,
             matches=matches,
-            tracks=(),
+            tracks=tracks,
             milliseconds=watch.milliseconds,
             segment=self.counts["resets"],
         )
@@ -210,6 +221,21 @@ class Pipeline:
         if self._ego is None or newest is None:
             return None
         return self._ego.estimate_at(newest, self._imu)
+
+    def _track_objects(
+        self, table: TrackTable, points: ScenePoints, ego: Ego
+    ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
+        """The tracks of this frame, and the points with the ids of their tracks."""
+        if self._objects is None:
+            return (), points
+        window, rig = ego.window(), ego.calibrated_rig()
+        measurements = measure_objects(
+            table, points, window, rig, self._settings.objects, self._rng
+        )
+        T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
+        now_ns = int(table.frame_ns[-1])
+        tracks, owner = self._objects.step(now_ns, measurements, points, T_world_cam0)
+        return tracks, replace(points, track_id=owner)
 
     def close(self) -> None:
         """Stop worker threads and count the frames that the IMU never covered."""

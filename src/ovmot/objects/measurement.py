@@ -94,7 +94,10 @@ def measure_objects(
 
 
 def _views_of(
-    history: MotionHistory, found: list[RigidGroup], window: PoseWindow, rig: StereoRig,
+    history: MotionHistory,
+    found: list[RigidGroup],
+    window: PoseWindow,
+    rig: StereoRig,
     settings: ObjectSettings,
 ) -> tuple[BodyViews, FloatArray, IntArray]:
     """Each body's points in three views: its earlier row, one half way if there is one, now.
@@ -244,9 +247,7 @@ def _without_parts(
     return tuple(body for _, body in kept)
 
 
-def _is_part(
-    body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings
-) -> bool:
+def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings) -> bool:
     apart = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
     C = body.covariance + larger.covariance
     reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])

@@ -1,0 +1,38 @@
+"""Which measurement belongs to which track: shared features and the predicted state decide."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from ovmot.geometry.arrays import FloatArray, IntArray
+
+_GATE = 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
+_SHARED = 2  # features that make a pair possible though the state says no
+_SHARED_GATE = 10.0 * _GATE
+_NONE = 1e6
+
+
+def shared_share(
+    of_tracks: Sequence[IntArray], of_measurements: Sequence[IntArray]
+) -> tuple[FloatArray, IntArray]:
+    """Share and number (T, M) of common features, as a share of the smaller set."""
+    share = np.zeros((len(of_tracks), len(of_measurements)))
+    count = np.zeros(share.shape, dtype=np.int64)
+    for i, a in enumerate(of_tracks):
+        for j, b in enumerate(of_measurements):
+            count[i, j] = len(np.intersect1d(a, b, assume_unique=True))
+            share[i, j] = count[i, j] / max(min(len(a), len(b)), 1)
+    return share, count
+
+
+def associate(distance: FloatArray, share: FloatArray, count: IntArray) -> list[tuple[int, int]]:
+    """Pairs (track, measurement) of least total cost.
+
+    `distance` (T, M): squared Mahalanobis distance, 6 degrees of freedom. A pair is possible within
+    its gate, or with two shared features and not absurdly far.
+    """
+    possible = (distance < _GATE) | ((count >= _SHARED) & (distance < _SHARED_GATE))
+    cost = np.minimum(distance / _GATE, 1.0) + (1.0 - share)
+    tracks, measurements = linear_sum_assignment(np.where(possible, cost, _NONE))
+    return [(int(i), int(j)) for i, j in zip(tracks, measurements, strict=True) if possible[i, j]]

@@ -1,0 +1,196 @@
+"""Tracks of moving bodies over time: ids that stay, through stops and occlusions."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import ObjectTrackSettings
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.association import associate, shared_share
+from ovmot.objects.followed import FollowedBody, Sightings
+from ovmot.objects.measurement import ObjectMeasurement
+from ovmot.objects.motion_models import YAW_RATE
+from ovmot.objects.object_filter import distance, observe, update
+from ovmot.objects.track import Track, TrackState, carried, gap, measured, start_track
+from ovmot.types import ObjectTrack, ScenePoints
+
+_FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
+_TENTATIVE_MISSES_S = 0.25
+_SAME_SPEED_MPS = 1.5
+
+
+class ObjectTracker:
+    """Keeps the tracks, and the next id: ids are never used again."""
+
+    def __init__(self, rig: StereoRig, settings: ObjectTrackSettings) -> None:
+        self._rig = rig
+        self._settings = settings
+        self._tracks: tuple[Track, ...] = ()
+        self._sightings = Sightings()
+        self._next_id = 0
+
+    def step(
+        self,
+        timestamp_ns: int,
+        measurements: Sequence[ObjectMeasurement],
+        seen: ScenePoints,
+        T_world_cam0: FloatArray,
+    ) -> tuple[tuple[ObjectTrack, ...], IntArray]:
+        """The tracks of this frame, and the track id (N,) of each of its features, -1 for none."""
+        settings = self._settings
+        self._sightings.add(timestamp_ns, seen, T_world_cam0)
+        # 1 where every track should be now
+        tracks = [carried(track, timestamp_ns, settings) for track in self._tracks]
+        # 2 which measurement is whose
+        pairs = _pairs(tracks, measurements, timestamp_ns)
+        taken = {j for _, j in pairs}
+        own = dict(pairs)
+        # 3 correct: by the measurement, else by the features that are still followed
+        for i, track in enumerate(tracks):
+            tracks[i] = (
+                measured(track, measurements[own[i]], timestamp_ns, settings)
+                if i in own
+                else self._followed(track, timestamp_ns)
+            )
+        # 4 new ones
+        for j, measurement in enumerate(measurements):
+            if j not in taken:
+                tracks.append(start_track(self._next_id, timestamp_ns, measurement))
+                self._next_id += 1
+        # 5 two tracks on one body, and those that are gone
+        alive = [track for track in tracks if _lives(track, timestamp_ns, settings)]
+        self._tracks = _merged(_with_own_features(alive, seen), settings)
+        owner = _owner(self._tracks, seen.feature_id)
+        shown = tuple(_as_result(t, seen, owner, T_world_cam0, self._rig) for t in self._tracks)
+        return shown, owner
+
+    def _followed(self, track: Track, now_ns: int) -> Track:
+        """The track by its features, without a measurement; coasting where they are lost."""
+        body = self._sightings.follow(track.feature_id, track.velocity)
+        if body is None or track.state == TrackState.TENTATIVE:
+            return _unseen(track)
+        observation = observe(body.position - track.offset, body.velocity, _loose(body, track))
+        if distance(track.filter, observation) > _FOLLOWED_GATE:
+            return _unseen(track)
+        corrected = update(track.filter, observation)
+        return replace(
+            track,
+            state=TrackState.CONFIRMED,
+            filter=corrected,
+            offset=body.position - corrected.best.state[:3],
+            feature_id=body.feature_id,
+            updated_ns=now_ns,
+        )
+
+
+def _unseen(track: Track) -> Track:
+    if track.state == TrackState.TENTATIVE:
+        return track
+    return replace(track, state=TrackState.COASTING)
+
+
+def _loose(body: FollowedBody, track: Track) -> FloatArray:
+    """The covariance (6, 6), for a middle that slides over the body as other parts are seen."""
+    P = body.covariance.copy()
+    P[:3, :3] += (0.25 * float(track.size.max())) ** 2 * np.eye(3)
+    return P
+
+
+def _pairs(
+    tracks: Sequence[Track], measurements: Sequence[ObjectMeasurement], now_ns: int
+) -> list[tuple[int, int]]:
+    if not tracks or not measurements:
+        return []
+    d = np.array([[gap(track, m, now_ns) for m in measurements] for track in tracks])
+    share, count = shared_share(
+        [t.feature_id for t in tracks], [m.feature_id for m in measurements]
+    )
+    return associate(d, share, count)
+
+
+def _lives(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
+    """Tentative tracks live on measurements; the others until nothing was seen for a while."""
+    unseen_s = 1e-9 * (now_ns - track.updated_ns)
+    if track.state == TrackState.TENTATIVE:
+        return unseen_s <= _TENTATIVE_MISSES_S
+    return unseen_s <= settings.coast_s
+
+
+def _with_own_features(tracks: Sequence[Track], seen: ScenePoints) -> list[Track]:
+    """Features that are no longer seen leave; of two tracks the older one keeps a common one."""
+    out, taken = [], np.empty(0, dtype=np.int64)
+    for track in tracks:
+        kept = np.isin(track.feature_id, seen.feature_id) & ~np.isin(track.feature_id, taken)
+        lost = track.state == TrackState.COASTING
+        ids = track.feature_id if lost else track.feature_id[kept]
+        taken = np.union1d(taken, ids)
+        out.append(replace(track, feature_id=ids))
+    return out
+
+
+def _merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Track, ...]:
+    """Without tracks that have lain on an older one, going as it goes, for some frames."""
+    out: list[Track] = []
+    for track in tracks:
+        over = next((other for other in out if _same_body(track, other)), None)
+        if over is None:
+            out.append(replace(track, overlaps=0))
+        elif track.overlaps + 1 < settings.merge_frames:
+            out.append(replace(track, overlaps=track.overlaps + 1))
+    return tuple(out)
+
+
+def _same_body(track: Track, other: Track) -> bool:
+    """Do their boxes overlap, and do they move alike?"""
+    apart = track.position - other.position
+    c, s = np.cos(other.yaw), np.sin(other.yaw)
+    along, across = c * apart[0] + s * apart[1], -s * apart[0] + c * apart[1]
+    reach = 0.5 * (other.size + np.minimum(track.size, other.size))
+    near = abs(along) < max(reach[0], 1.0) and abs(across) < max(0.7 * reach[1], 0.7)
+    return bool(near and np.linalg.norm(track.velocity - other.velocity) < _SAME_SPEED_MPS)
+
+
+def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
+    owner = np.full(len(feature_id), -1, dtype=np.int64)
+    for track in tracks:
+        if track.state != TrackState.COASTING:
+            owner[np.isin(feature_id, track.feature_id)] = track.track_id
+    return owner
+
+
+def _as_result(
+    track: Track, seen: ScenePoints, owner: IntArray, T_world_cam0: FloatArray, rig: StereoRig
+) -> ObjectTrack:
+    best = track.filter.best
+    sigma = np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    own = owner == track.track_id
+    return ObjectTrack(
+        track_id=track.track_id,
+        state=track.state.value,
+        position=track.position,
+        velocity=track.velocity,
+        yaw=track.yaw,
+        yaw_rate=float(best.state[YAW_RATE]),
+        size=track.size,
+        box_px=_box(track, seen.pixels[own, :2], T_world_cam0, rig),
+        n_points=int(own.sum()),
+        std_position=sigma[:3],
+        std_velocity=sigma[3:6],
+    )
+
+
+def _box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
+    """Left-image box (4,) of its points; of its 3-D box where it has fewer than two; else NaN."""
+    if len(uv) < 2:
+        half = 0.5 * track.size
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        c, s = np.cos(track.yaw), np.sin(track.yaw)
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        corners = track.position + (signs * half) @ R.T
+        uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
+        if not np.isfinite(uv).all():
+            return np.full(4, np.nan)
+    return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
