@@ -25,6 +25,7 @@ _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 7.81  # 95 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
 _NEIGHBOURS = 5  # nearest ones among which two must be to be linked
+_FORGIVEN_ACCEL = 3.0  # m/s² that points of a body may have, also as it turns
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
@@ -34,7 +35,7 @@ class MotionHistory:
 
     `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
     `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
-    are. `weight` (L, M, 4, 4): inverse of the comparison's S, zero where untested; `information`
+    are. `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero where untested; `information`
     (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up`
     (3,): the world's z in them.
     """
@@ -78,7 +79,7 @@ def motion_history(
         return None
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
-    W = np.linalg.inv(_with_acceleration(comparison, settings.accel_sigma_mps2))
+    W = np.linalg.inv(_with_acceleration(comparison))
     W = np.where(comparison.tested[..., None, None], W, 0.0)
     velocity, covariance, cost = fit_velocity(comparison, W)
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
@@ -90,7 +91,7 @@ def motion_history(
     sigma = plane_sigma(rig, settings.pixel_sigma)
     comparison = _only(comparison, kept)
     tested = comparison.tested[..., None, None]
-    weight = np.where(tested, np.linalg.inv(np.where(tested, comparison.S, np.eye(4))), 0.0)
+    weight = np.where(tested, np.linalg.inv(np.where(tested, comparison.S_motion, np.eye(4))), 0.0)
     J = np.where(tested, comparison.J_motion, 0.0)
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
@@ -116,6 +117,7 @@ def _only(comparison: Comparison, index: IntArray) -> Comparison:
         comparison.J[:, index],
         comparison.J_motion[:, index],
         comparison.S[:, index],
+        comparison.S_motion[:, index],
     )
 
 
@@ -138,12 +140,12 @@ def _displaced(
     return oldest
 
 
-def _with_acceleration(comparison: Comparison, accel_sigma: float) -> FloatArray:
+def _with_acceleration(comparison: Comparison) -> FloatArray:
     """Covariance (L, N, 4, 4) of residuals when the velocity may change on the way."""
     tested = comparison.tested[..., None, None]
-    J = np.where(tested, comparison.J, 0.0)
-    S = np.where(tested, comparison.S, np.eye(4))
-    slack = (0.5 * accel_sigma * comparison.span_s**2) ** 2
+    J = np.where(tested, comparison.J_motion, 0.0)
+    S = np.where(tested, comparison.S_motion, np.eye(4))
+    slack = (0.5 * _FORGIVEN_ACCEL * comparison.span_s**2) ** 2
     return S + J @ np.swapaxes(J, -1, -2) * slack[:, None, None, None]
 
 
