@@ -15,12 +15,12 @@ from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion
 from ovmot.tracks import TrackTable
 from ovmot.types import PoseWindow, ScenePoints
 
-_YAW_KNOWN = 0.7  # of the prior's standard deviation: where the points have told something
+_YAW_KNOWN = 0.5  # of the prior's standard deviation: where the points have told something
 _FEW = 4  # points that may be a part of a body, though their group is another
 _REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
 _SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
 _SPREAD_SHARE = 0.05  # and as a share of the speed
-_SAME_GATE = 16.27  # 99.9 % of chi-squared with 3 degrees of freedom
+_SAME_GATE = 7.81  # 95 % of chi-squared with 3 degrees of freedom
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,10 @@ def measure_objects(
 
 
 def _views_of(
-    history: MotionHistory, found: list[RigidGroup], window: PoseWindow, rig: StereoRig,
+    history: MotionHistory,
+    found: list[RigidGroup],
+    window: PoseWindow,
+    rig: StereoRig,
     settings: ObjectSettings,
 ) -> tuple[BodyViews, FloatArray, IntArray]:
     """Each body's points in three views: its earlier row, one half way if there is one, now.
@@ -244,9 +247,7 @@ def _without_parts(
     return tuple(body for _, body in kept)
 
 
-def _is_part(
-    body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings
-) -> bool:
+def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings) -> bool:
     apart = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
     C = body.covariance + larger.covariance
     reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])

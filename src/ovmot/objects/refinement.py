@@ -179,7 +179,10 @@ class Weighting:
 
     def _whiten(self, rows: FloatArray) -> FloatArray:
         """(V, M, 4, k) in plane units to (M, 4V, k) in standard deviations."""
-        left, right = rows[..., :2, :] * self._focal[:2, None], rows[..., 2:, :] * self._focal[2:, None]
+        left, right = (
+            rows[..., :2, :] * self._focal[:2, None],
+            rows[..., 2:, :] * self._focal[2:, None],
+        )
         n_views, n_points, _, width = left.shape
         out = np.empty((n_points, n_views, 4, width))
         by_view = np.swapaxes(out, 0, 1)

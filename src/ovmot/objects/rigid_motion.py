@@ -126,4 +126,3 @@ def _proposals(
     rigid = rigid[cosine > np.cos(_MAX_RATE * span_s)]
     penalty = np.concatenate([np.zeros(len(shift)), np.full(len(rigid), _TURN_PENALTY)])
     return np.concatenate([shift, rigid]), penalty
-
