@@ -11,8 +11,11 @@ from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
-from ovmot.types import PointLabel
+from ovmot.tracks import TrackTable
+from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
+Found = tuple[ObjectMeasurement, ...]
+Scene = tuple[TrackTable, ScenePoints, PoseWindow]
 SIGMA = 0.3
 FRAMES = 12
 CALM = ObjectSettings(accel_sigma_mps2=0.0, slide_per_hop_px=0.0, slide_per_flow=0.0)
@@ -21,7 +24,7 @@ CALM = ObjectSettings(accel_sigma_mps2=0.0, slide_per_hop_px=0.0, slide_per_flow
 @pytest.fixture(scope="module")
 def seen(
     rig: StereoRig, drive: Callable[..., FloatArray], body: Callable[..., FloatArray],
-    scene_of: Callable[..., tuple],
+    scene_of: Callable[..., Scene],
 ) -> Callable[..., tuple[ObjectMeasurement, ...]]:  # fmt: skip
     """Measurements of bodies given as (ahead, left, velocity, yaw rate, points), from a car."""
 
@@ -43,7 +46,7 @@ def seen(
     return measured
 
 
-def test_a_translating_body(seen: Callable[..., tuple], drive: Callable[..., FloatArray]) -> None:
+def test_a_translating_body(seen: Callable[..., Found], drive: Callable[..., FloatArray]) -> None:
     velocity = np.array([-9.0, 1.0, 0.0])
     (found,) = seen([(18.0, 2.0, velocity, 0.0, 15)])
     centre = se3.apply(drive(FRAMES)[-1], np.array([18.0, 2.0, 0.0]))
@@ -56,7 +59,7 @@ def test_a_translating_body(seen: Callable[..., tuple], drive: Callable[..., Flo
     assert found.size[0] == pytest.approx(4.0, abs=1.2)
 
 
-def test_a_turning_body_has_its_yaw_rate(seen: Callable[..., tuple]) -> None:
+def test_a_turning_body_has_its_yaw_rate(seen: Callable[..., Found]) -> None:
     velocity = np.array([5.0, 0.0, 0.0])
     (found,) = seen([(12.0, 0.0, velocity, 0.4, 25)])
     assert found.yaw_rate == pytest.approx(0.4, abs=4.0 * np.sqrt(found.yaw_rate_variance))
@@ -64,7 +67,7 @@ def test_a_turning_body_has_its_yaw_rate(seen: Callable[..., tuple]) -> None:
     assert np.linalg.norm(found.velocity - velocity) < 0.4
 
 
-def test_two_bodies_that_touch_but_move_apart(seen: Callable[..., tuple]) -> None:
+def test_two_bodies_that_touch_but_move_apart(seen: Callable[..., Found]) -> None:
     bodies = [
         (15.0, 1.2, np.array([7.0, 0.0, 0.0]), 0.0, 20),
         (15.0, -1.2, np.array([4.0, 0.0, 0.0]), 0.0, 15),
@@ -77,14 +80,14 @@ def test_two_bodies_that_touch_but_move_apart(seen: Callable[..., tuple]) -> Non
     assert found[1].velocity[0] == pytest.approx(4.0, abs=0.4)
 
 
-def test_bodies_far_apart_with_one_velocity_are_two(seen: Callable[..., tuple]) -> None:
+def test_bodies_far_apart_with_one_velocity_are_two(seen: Callable[..., Found]) -> None:
     velocity = np.array([6.0, 0.0, 0.0])
     found = seen([(12.0, 3.5, velocity, 0.0, 15), (12.0, -3.5, velocity, 0.0, 15)])
     assert len(found) == 2
 
 
 def test_points_called_unknown_or_static_are_found_where_they_move_together(
-    seen: Callable[..., tuple],
+    seen: Callable[..., Found],
 ) -> None:
     bodies = [(14.0, 0.0, np.array([0.0, 3.0, 0.0]), 0.0, 10)]
     for label in (PointLabel.UNKNOWN, PointLabel.STATIC):
@@ -92,7 +95,7 @@ def test_points_called_unknown_or_static_are_found_where_they_move_together(
 
 
 @pytest.mark.parametrize("test", ["covariance", "fixed"])
-def test_what_stands_is_refused_whatever_its_label(seen: Callable[..., tuple], test: str) -> None:
+def test_what_stands_is_refused_whatever_its_label(seen: Callable[..., Found], test: str) -> None:
     settings = CALM.model_copy(update={"static_test": test})
     rest = np.zeros(3)
     for seed in range(10):
@@ -102,11 +105,11 @@ def test_what_stands_is_refused_whatever_its_label(seen: Callable[..., tuple], t
     assert len(seen(walker, 0, settings)) == 1
 
 
-def test_two_points_are_no_body(seen: Callable[..., tuple]) -> None:
+def test_two_points_are_no_body(seen: Callable[..., Found]) -> None:
     assert seen([(12.0, 0.0, np.array([8.0, 0.0, 0.0]), 0.0, 2)]) == ()
 
 
-def test_points_close_together_tell_a_velocity_but_no_yaw_rate(seen: Callable[..., tuple]) -> None:
+def test_points_close_together_tell_a_velocity_but_no_yaw_rate(seen: Callable[..., Found]) -> None:
     velocity = np.array([3.0, 6.0, 0.0])
     (found,) = seen([(30.0, 0.0, velocity, 0.0, 4)], size=(0.1, 0.2, 0.2))
     assert np.isnan(found.yaw_rate)
@@ -114,14 +117,14 @@ def test_points_close_together_tell_a_velocity_but_no_yaw_rate(seen: Callable[..
     assert np.all(np.abs(found.velocity - velocity) < 4.0 * sigma)
 
 
-def test_the_same_seed_gives_the_same_numbers(seen: Callable[..., tuple]) -> None:
+def test_the_same_seed_gives_the_same_numbers(seen: Callable[..., Found]) -> None:
     bodies = [(15.0, 1.0, np.array([7.0, 1.0, 0.0]), 0.1, 12)]
     (a,), (b,) = seen(bodies), seen(bodies)
     np.testing.assert_array_equal(a.velocity, b.velocity)
     np.testing.assert_array_equal(a.p_world, b.p_world)
 
 
-def test_the_velocity_covariance_is_consistent(seen: Callable[..., tuple]) -> None:
+def test_the_velocity_covariance_is_consistent(seen: Callable[..., Found]) -> None:
     nees = []
     for seed in range(60):
         velocity = np.array([-4.0 + 0.2 * seed, 3.0, 0.0])
@@ -134,7 +137,7 @@ def test_the_velocity_covariance_is_consistent(seen: Callable[..., tuple]) -> No
 
 def test_uncertain_poses_widen_the_velocity(
     rig: StereoRig, drive: Callable[..., FloatArray], body: Callable[..., FloatArray],
-    scene_of: Callable[..., tuple],
+    scene_of: Callable[..., Scene],
 ) -> None:  # fmt: skip
     rng = np.random.default_rng(5)
     T = drive(FRAMES)

@@ -34,10 +34,10 @@ class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
     `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
-    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
-    are. `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero where untested; `information`
-    (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up`
-    (3,): the world's z in them.
+    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0`
+    (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero
+    where untested; `information` (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3)
+    and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray
@@ -79,8 +79,7 @@ def motion_history(
         return None
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
-    W = np.linalg.inv(_with_acceleration(comparison))
-    W = np.where(comparison.tested[..., None, None], W, 0.0)
+    W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
     velocity, covariance, cost = fit_velocity(comparison, W)
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
     distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
