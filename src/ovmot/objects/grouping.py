@@ -172,9 +172,9 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     pairs = pairs[_same_velocity(points, pairs)]
     n = len(points.feature_id)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_components, component = connected_components(graph, directed=False)
-    pieces = [np.flatnonzero(component == k) for k in range(n_components)]
-    pieces = sorted((p for p in pieces if len(p) > 1), key=len, reverse=True)
+    _, component = connected_components(graph, directed=False)
+    several = np.flatnonzero(np.bincount(component) > 1)
+    pieces = sorted((np.flatnonzero(component == k) for k in several), key=len, reverse=True)
     joined: list[IntArray] = []
     for piece in pieces:
         for k, whole in enumerate(joined):

@@ -20,7 +20,7 @@ from ovmot.geometry.triangulation import inverse_3x3, project_plane
 
 _ITERATIONS = 6
 _WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
-_SMALL_STEP = 5e-3  # m/s and rad/s
+_SMALL_STEP = 1e-2  # m/s and rad/s
 _HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
 _OUTLIER_SHARE = 0.001  # of good points that count as wrong
 _MIN_INVERSE_DEPTH = 1e-3
