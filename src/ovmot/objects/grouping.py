@@ -60,22 +60,19 @@ def motion_history(
     rig: StereoRig,
     settings: ObjectSettings,
 ) -> MotionHistory | None:
-    """What the table knows of all points that are not static; None where that is nothing."""
+    """What the table knows of the points that may move; None where they are too few.
+
+    These are points that one velocity explains and that do not seem to stand. A label `static` is
+    no bar: what is too little to tell for a point may be enough for a group.
+    """
     rows = _rows(table, window, settings.look_back_s)
-    order = np.argsort(table.feature_id)
-    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
-    history = StereoHistory(
-        then=table.normalized[rows][:, column],
-        now=table.normalized[-1, column],
-        clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
-        span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
-    )
+    history = _history(table, points, window, rows)
     shown = _displaced(history, points, window, rig) > _HINT
     shown |= points.label != int(PointLabel.STATIC)
     with np.errstate(invalid="ignore"):
         near = points.p_cam0[:, 2] < settings.max_range_m
     candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
-    if len(rows) == 0 or len(candidate) < settings.min_points:
+    if len(candidate) < settings.min_points:
         return None
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
@@ -87,24 +84,44 @@ def motion_history(
     if len(kept) < settings.min_points:
         return None
     p_cam0 = points.p_cam0[candidate[kept]]
-    sigma = plane_sigma(rig, settings.pixel_sigma)
     comparison = _only(comparison, kept)
-    tested = comparison.tested[..., None, None]
-    weight = np.where(tested, np.linalg.inv(np.where(tested, comparison.S_motion, np.eye(4))), 0.0)
-    J = np.where(tested, comparison.J_motion, 0.0)
+    weight, information = _weights(comparison)
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
         history=replace(history, then=history.then[:, kept], now=history.now[kept]),
         comparison=comparison,
         p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
+        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, plane_sigma(rig, settings.pixel_sigma)),
         weight=weight,
-        information=np.swapaxes(J, -1, -2) @ weight @ J,
+        information=information,
         velocity=velocity[kept],
         velocity_cov=covariance[kept],
         up=(window.T_world_imu[-1] @ rig.T_imu_cam0)[2, :3],
     )
+
+
+def _history(
+    table: TrackTable, points: ScenePoints, window: PoseWindow, rows: IntArray
+) -> StereoHistory:
+    """All points of the frame in these rows and now."""
+    order = np.argsort(table.feature_id)
+    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
+    return StereoHistory(
+        then=table.normalized[rows][:, column],
+        now=table.normalized[-1, column],
+        clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
+        span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
+    )
+
+
+def _weights(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
+    """Weights (L, M, 4, 4) of the residuals, and information (L, M, 3, 3) on the way since."""
+    tested = comparison.tested[..., None, None]
+    S = np.where(tested, comparison.S_motion, np.eye(4))
+    weight = np.where(tested, np.linalg.inv(S), 0.0)
+    J = np.where(tested, comparison.J_motion, 0.0)
+    return weight, np.swapaxes(J, -1, -2) @ weight @ J
 
 
 def _only(comparison: Comparison, index: IntArray) -> Comparison:
