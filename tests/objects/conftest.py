@@ -9,8 +9,9 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.triangulation import project_stereo
-from ovmot.types import PoseWindow
+from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
+from ovmot.tracks import TrackTable
+from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
 FRAME_NS = 100_000_000
 
@@ -86,5 +87,72 @@ def in_view() -> Callable[..., FloatArray]:
         z = rng.uniform(*depth, n)
         p = np.column_stack([rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.2, 0.2, n) * z, z])
         return se3.apply(T_world_imu[-1] @ rig.T_imu_cam0, p)
+
+    return points
+
+
+Scene = tuple[TrackTable, ScenePoints, PoseWindow]
+
+
+@pytest.fixture(scope="session")
+def scene_of(
+    measure: Callable[..., FloatArray], window_of: Callable[..., PoseWindow]
+) -> Callable[..., Scene]:
+    """Table, points (all dynamic) and window of world points (K, N, 3) seen from poses (K, 4, 4).
+
+    Every feature has been followed since the first frame; noise is white.
+    """
+
+    def scene(
+        rig: StereoRig, T_world_imu: FloatArray, p_world: FloatArray, sigma_px: float,
+        rng: np.random.Generator,
+    ) -> Scene:  # fmt: skip
+        n_frames, n = p_world.shape[:2]
+        normalized = measure(rig, T_world_imu, p_world, sigma_px, rng)
+        f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
+        focal, centre = np.r_[f0[:2], f1[:2]], np.r_[f0[2:4], f1[2:4]]
+        pixels = normalized * focal + centre
+        window = window_of(T_world_imu)
+        feature_id = np.arange(100, 100 + n)
+        no = np.zeros(n, dtype=np.bool_)
+        table = TrackTable(
+            window.timestamp_ns, window.timestamp_ns, feature_id, pixels, normalized,
+            np.full(n, n_frames - 1), np.zeros((n_frames, n), dtype=np.bool_), no, no,
+        )  # fmt: skip
+        p_cam0 = triangulate_stereo(normalized[-1], rig.T_cam1_cam0)
+        unknown = np.full(n, np.nan)
+        points = ScenePoints(
+            feature_id=feature_id,
+            pixels=pixels[-1],
+            p_cam0=p_cam0,
+            cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma_px / focal),
+            label=np.full(n, int(PointLabel.DYNAMIC)),
+            track_id=np.full(n, -1),
+            previous=np.full((n, 2), np.nan),
+            predicted=np.full((n, 2), np.nan),
+            distance_m=unknown,
+            reprojection_px=unknown,
+            two_view_inlier=no,
+        )
+        return table, points, window
+
+    return scene
+
+
+@pytest.fixture(scope="session")
+def body() -> Callable[..., FloatArray]:
+    """Points (K, N, 3) of a body at 10 Hz whose centre is at `centre` (3,) in the last frame.
+
+    It has a constant twist: `velocity` (3,) of that centre in the last frame, `yaw_rate`.
+    """
+
+    def points(
+        n_frames: int, n: int, centre: FloatArray, velocity: FloatArray, yaw_rate: float,
+        rng: np.random.Generator, size: tuple[float, float, float] = (4.0, 1.8, 1.4),
+    ) -> FloatArray:  # fmt: skip
+        local = rng.uniform(-0.5, 0.5, (n, 3)) * np.array(size)
+        age = 0.1 * np.arange(n_frames - 1, -1, -1)
+        twist = np.r_[0.0, 0.0, yaw_rate, velocity]
+        return se3.apply(se3.exp(-age[:, None] * twist)[:, None], local) + centre
 
     return points

@@ -21,8 +21,10 @@ def register_rigid(source: FloatArray, target: FloatArray) -> FloatArray:
 
 def triangle_height(points: FloatArray) -> FloatArray:
     """Smallest height (...,) of triangles (..., 3, 3): zero where the corners lie on a line."""
-    sides = np.roll(points, -1, axis=-2) - points
-    area = np.linalg.norm(np.cross(sides[..., 0, :], sides[..., 1, :]), axis=-1)
-    longest = np.linalg.norm(sides, axis=-1).max(-1)
+    sides = points[..., [1, 2, 0], :] - points
+    squared = (sides * sides).sum(-1)
+    along = (sides[..., 0, :] * sides[..., 1, :]).sum(-1)
+    area = np.sqrt(np.maximum(squared[..., 0] * squared[..., 1] - along**2, 0.0))
+    longest = np.sqrt(squared.max(-1))
     height: FloatArray = area / np.maximum(longest, 1e-12)
     return height

@@ -25,7 +25,7 @@ class Comparison:
     views; `J` (L, N, 4, 3): derivative of the prediction by the point; `J_motion` (L, N, 4, 3):
     residual = J_motion (position now - predicted), exactly, however far the point has gone;
     `S` (L, N, 4, 4): covariance of the residual for a point at rest (pixels then and now, and the
-    ego motion).
+    ego motion), `S_motion` the same for one that has gone to where it is seen now.
     """
 
     span_s: FloatArray
@@ -34,6 +34,7 @@ class Comparison:
     J: FloatArray
     J_motion: FloatArray
     S: FloatArray
+    S_motion: FloatArray
 
     @property
     def tested(self) -> BoolArray:
@@ -91,10 +92,13 @@ def compare(
     seen, J = project_stereo(predicted, T_c1_c0)
     flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
     drift = (drift_per_flow * flow)[..., None, None] ** 2 * np.eye(4)
-    S = J @ C @ np.swapaxes(J, -1, -2) + np.diag(sigma**2) + drift
+    noise = np.diag(sigma**2) + drift
+    S = J @ C @ np.swapaxes(J, -1, -2) + noise
     p_now = triangulate_stereo(history.now, T_c1_c0)
+    _, J_now = project_stereo(p_now, T_c1_c0)
+    S_motion = J_now @ C @ np.swapaxes(J_now, -1, -2) + noise
     J_motion = secant_jacobian(predicted, p_now, T_c1_c0)
-    return Comparison(history.span_s, predicted, history.now - seen, J, J_motion, S)
+    return Comparison(history.span_s, predicted, history.now - seen, J, J_motion, S, S_motion)
 
 
 def secant_jacobian(p_from: FloatArray, p_to: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:

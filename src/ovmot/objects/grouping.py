@@ -25,6 +25,7 @@ _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 7.81  # 95 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
 _NEIGHBOURS = 5  # nearest ones among which two must be to be linked
+_FORGIVEN_ACCEL = 3.0  # m/s² that points of a body may have, also as it turns
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
@@ -33,10 +34,10 @@ class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
     `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
-    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they
-    are. `weight` (L, M, 4, 4): inverse of the comparison's S, zero where untested; `information`
-    (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up`
-    (3,): the world's z in them.
+    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0`
+    (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero
+    where untested; `information` (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3)
+    and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray
@@ -59,27 +60,23 @@ def motion_history(
     rig: StereoRig,
     settings: ObjectSettings,
 ) -> MotionHistory | None:
-    """What the table knows of all points that are not static; None where that is nothing."""
+    """What the table knows of the points that may move; None where they are too few.
+
+    These are points that one velocity explains and that do not seem to stand. A label `static` is
+    no bar: what is too little to tell for a point may be enough for a group.
+    """
     rows = _rows(table, window, settings.look_back_s)
-    order = np.argsort(table.feature_id)
-    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
-    history = StereoHistory(
-        then=table.normalized[rows][:, column],
-        now=table.normalized[-1, column],
-        clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
-        span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
-    )
+    history = _history(table, points, window, rows)
     shown = _displaced(history, points, window, rig) > _HINT
     shown |= points.label != int(PointLabel.STATIC)
     with np.errstate(invalid="ignore"):
         near = points.p_cam0[:, 2] < settings.max_range_m
     candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
-    if len(rows) == 0 or len(candidate) < settings.min_points:
+    if len(candidate) < settings.min_points:
         return None
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
-    W = np.linalg.inv(_with_acceleration(comparison, settings.accel_sigma_mps2))
-    W = np.where(comparison.tested[..., None, None], W, 0.0)
+    W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
     velocity, covariance, cost = fit_velocity(comparison, W)
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
     distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
@@ -87,24 +84,44 @@ def motion_history(
     if len(kept) < settings.min_points:
         return None
     p_cam0 = points.p_cam0[candidate[kept]]
-    sigma = plane_sigma(rig, settings.pixel_sigma)
     comparison = _only(comparison, kept)
-    tested = comparison.tested[..., None, None]
-    weight = np.where(tested, np.linalg.inv(np.where(tested, comparison.S, np.eye(4))), 0.0)
-    J = np.where(tested, comparison.J_motion, 0.0)
+    weight, information = _weights(comparison)
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
         history=replace(history, then=history.then[:, kept], now=history.now[kept]),
         comparison=comparison,
         p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, sigma),
+        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, plane_sigma(rig, settings.pixel_sigma)),
         weight=weight,
-        information=np.swapaxes(J, -1, -2) @ weight @ J,
+        information=information,
         velocity=velocity[kept],
         velocity_cov=covariance[kept],
         up=(window.T_world_imu[-1] @ rig.T_imu_cam0)[2, :3],
     )
+
+
+def _history(
+    table: TrackTable, points: ScenePoints, window: PoseWindow, rows: IntArray
+) -> StereoHistory:
+    """All points of the frame in these rows and now."""
+    order = np.argsort(table.feature_id)
+    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
+    return StereoHistory(
+        then=table.normalized[rows][:, column],
+        now=table.normalized[-1, column],
+        clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
+        span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
+    )
+
+
+def _weights(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
+    """Weights (L, M, 4, 4) of the residuals, and information (L, M, 3, 3) on the way since."""
+    tested = comparison.tested[..., None, None]
+    S = np.where(tested, comparison.S_motion, np.eye(4))
+    weight = np.where(tested, np.linalg.inv(S), 0.0)
+    J = np.where(tested, comparison.J_motion, 0.0)
+    return weight, np.swapaxes(J, -1, -2) @ weight @ J
 
 
 def _only(comparison: Comparison, index: IntArray) -> Comparison:
@@ -116,6 +133,7 @@ def _only(comparison: Comparison, index: IntArray) -> Comparison:
         comparison.J[:, index],
         comparison.J_motion[:, index],
         comparison.S[:, index],
+        comparison.S_motion[:, index],
     )
 
 
@@ -138,12 +156,12 @@ def _displaced(
     return oldest
 
 
-def _with_acceleration(comparison: Comparison, accel_sigma: float) -> FloatArray:
+def _with_acceleration(comparison: Comparison) -> FloatArray:
     """Covariance (L, N, 4, 4) of residuals when the velocity may change on the way."""
     tested = comparison.tested[..., None, None]
-    J = np.where(tested, comparison.J, 0.0)
-    S = np.where(tested, comparison.S, np.eye(4))
-    slack = (0.5 * accel_sigma * comparison.span_s**2) ** 2
+    J = np.where(tested, comparison.J_motion, 0.0)
+    S = np.where(tested, comparison.S_motion, np.eye(4))
+    slack = (0.5 * _FORGIVEN_ACCEL * comparison.span_s**2) ** 2
     return S + J @ np.swapaxes(J, -1, -2) * slack[:, None, None, None]
 
 
@@ -171,9 +189,9 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     pairs = pairs[_same_velocity(points, pairs)]
     n = len(points.feature_id)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_components, component = connected_components(graph, directed=False)
-    pieces = [np.flatnonzero(component == k) for k in range(n_components)]
-    pieces = sorted((p for p in pieces if len(p) > 1), key=len, reverse=True)
+    _, component = connected_components(graph, directed=False)
+    several = np.flatnonzero(np.bincount(component) > 1)
+    pieces = sorted((np.flatnonzero(component == k) for k in several), key=len, reverse=True)
     joined: list[IntArray] = []
     for piece in pieces:
         for k, whole in enumerate(joined):

@@ -15,12 +15,13 @@ from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion
 from ovmot.tracks import TrackTable
 from ovmot.types import PoseWindow, ScenePoints
 
-_YAW_KNOWN = 0.7  # of the prior's standard deviation: where the points have told something
+_YAW_KNOWN = 0.5  # of the prior's standard deviation: where the points have told something
+_DEPTH_SIGNAL = 3.0  # variance of depths by that of noise, from which turns are told
 _FEW = 4  # points that may be a part of a body, though their group is another
 _REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
 _SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
 _SPREAD_SHARE = 0.05  # and as a share of the speed
-_SAME_GATE = 16.27  # 99.9 % of chi-squared with 3 degrees of freedom
+_SAME_GATE = 7.81  # 95 % of chi-squared with 3 degrees of freedom
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,8 @@ def measure_objects(
     # 4 motions and points together, by reprojection
     views, twist, row = _views_of(history, found, window, rig, settings)
     index = np.concatenate([group.index for group in found])
-    refined = refine_bodies(views, twist, history.p_cam0[index], rig, settings)
+    may_turn = np.array([_shows_turns(history, group.index) for group in found])
+    refined = refine_bodies(views, twist, history.p_cam0[index], may_turn, rig, settings)
     # 5 what is left of each: enough points, moving, and not a part of another
     T_world_cam0 = views.T_world_cam0[-1, 0]
     is_static = STATIC_TESTS[settings.static_test]
@@ -85,12 +87,23 @@ def measure_objects(
         if len(own) < settings.min_points:
             continue
         then = int(history.history.clone_index[row[k]])
-        body = _measurement(k, own, history.feature_id[index[own]], views, refined, settings)
+        ids, turns = history.feature_id[index[own]], bool(may_turn[k])
+        body = _measurement(k, own, ids, views, refined, turns, settings)
         body = _with_ego_covariance(body, window, then)
         fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
         if fast and not is_static(_as_found(body, T_world_cam0), rig, settings):
             bodies.append((int(group_of[k]), body))
     return _without_parts(bodies, settings)
+
+
+def _shows_turns(history: MotionHistory, index: IntArray) -> bool:
+    """Do the depths of points (n,) differ by more than stereo scatters them?
+
+    A turn shows as points at different depths move apart in the image. Where that difference is
+    but noise, a turn can be made to fit anything.
+    """
+    scatter = np.var(history.p_cam0[index, 2], ddof=1)
+    return bool(scatter > _DEPTH_SIGNAL * history.cov_cam0[index, 2, 2].mean())
 
 
 def _views_of(
@@ -147,6 +160,7 @@ def _measurement(
     feature_id: IntArray,
     views: BodyViews,
     refined: RefinedBodies,
+    may_turn: bool,
     settings: ObjectSettings,
 ) -> ObjectMeasurement:
     """Body k with its points `own` (n,): the covariance is that of the refinement alone."""
@@ -162,8 +176,9 @@ def _measurement(
     covariance = J @ refined.covariance[k] @ J.T
     covariance[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
     covariance[3:, 3:] += (0.5 * settings.accel_sigma_mps2 * span) ** 2 * np.eye(3)
-    variance = float(refined.covariance[k, 2, 2])
-    known = variance < (_YAW_KNOWN * settings.yaw_rate_sigma_rps) ** 2
+    prior = settings.yaw_rate_sigma_rps**2
+    variance = float(refined.covariance[k, 2, 2]) if may_turn else prior
+    known = variance < _YAW_KNOWN**2 * prior
     shift = se3.make(np.eye(3), views.origin[k])
     return ObjectMeasurement(
         feature_id=feature_id,

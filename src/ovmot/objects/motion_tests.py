@@ -98,7 +98,7 @@ def examine_rest(comparison: Comparison, settings: SplitSettings) -> RestTest:
     S_rest = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
     distance = np.where(tested, _quadratic(S_rest, r), 0.0).max(0)
     S_fit = S + JJt * ((0.5 * _FORGIVEN_ACCEL * span**2) ** 2)[..., None, None]
-    velocity, covariance, cost = fit_velocity(comparison, np.linalg.inv(S_fit))
+    velocity, covariance, cost = fit_velocity(comparison, np.asarray(np.linalg.inv(S_fit)))
     rows = tested.sum(0)
     explained = cost < _FIT_SLACK * chdtri(np.maximum(4 * rows - 3, 1), 0.001)
     return RestTest(distance, rows, velocity, covariance, explained)

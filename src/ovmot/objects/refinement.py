@@ -20,7 +20,7 @@ from ovmot.geometry.triangulation import inverse_3x3, project_plane
 
 _ITERATIONS = 6
 _WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
-_SMALL_STEP = 5e-3  # m/s and rad/s
+_SMALL_STEP = 1e-2  # m/s and rad/s
 _HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
 _OUTLIER_SHARE = 0.001  # of good points that count as wrong
 _MIN_INVERSE_DEPTH = 1e-3
@@ -67,17 +67,23 @@ class RefinedBodies:
 
 
 def refine_bodies(
-    views: BodyViews, twist: FloatArray, p_cam0: FloatArray, rig: StereoRig, told: ObjectSettings
+    views: BodyViews,
+    twist: FloatArray,
+    p_cam0: FloatArray,
+    may_turn: BoolArray,
+    rig: StereoRig,
+    told: ObjectSettings,
 ) -> RefinedBodies:
     """Levenberg-damped Gauss-Newton from `twist` (B, 6) and stereo points `p_cam0` (M, 3) of now.
 
     Each point is (x, y, 1/z) in the present left camera. Its whole cost is robust: Huber's weights
-    beyond the bulk, none beyond what a good point shows. Turn rates have a weak prior, so that few
-    or flat points give the translation alone.
+    beyond the bulk, none beyond what a good point shows. Turn rates have a prior: a weak one for
+    the yaw of bodies that `may_turn` (B,), one that leaves all but the translation to the others.
     """
     n_bodies = len(views.origin)
-    prior = np.zeros(6)
-    prior[:3] = np.array([told.tilt_rate_sigma_rps] * 2 + [told.yaw_rate_sigma_rps]) ** -2.0
+    prior = np.zeros((n_bodies, 6))
+    prior[:, :3] = told.tilt_rate_sigma_rps**-2.0
+    prior[may_turn, 2] = told.yaw_rate_sigma_rps**-2.0
     weighting = Weighting(views, rig, told)
     freedom = 4 * weighting.valid.sum(0) - 3
     huber = np.sqrt(chdtri(freedom, _HUBER_SHARE))
@@ -96,7 +102,7 @@ def refine_bodies(
         K = np.swapaxes(cross, -1, -2) @ N_inverse
         Jt = np.swapaxes(J, -1, -2)
         information = _sum_per_body(weight * (Jt @ J - K @ cross), views.body, n_bodies)
-        information = information + np.diag(prior + 1e-6)
+        information = information + np.eye(6) * (prior[:, None] + 1e-6)
         gradient = _sum_per_body(weight * (Jt @ r - K @ g), views.body, n_bodies)[..., 0]
         step = np.linalg.solve(information, (gradient - prior * twist)[..., None])[..., 0]
         follow = (N_inverse @ (g - cross @ step[views.body][..., None]))[..., 0]
@@ -115,7 +121,7 @@ def refine_bodies(
     to_world, p_world = _world_points(point, views)
     return RefinedBodies(
         twist=twist,
-        covariance=np.linalg.inv(information) * widen,
+        covariance=np.asarray(np.linalg.inv(information) * widen, np.float64),
         p_world=p_world,
         inlier=inlier,
         point_cov=to_world @ N_inverse @ np.swapaxes(to_world, -1, -2),
@@ -136,7 +142,7 @@ class Weighting:
         self._T_c1_c0 = rig.T_cam1_cam0
         f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
         self._focal = np.array([f0[0], f0[1], f1[0], f1[1]])
-        self.valid: BoolArray = np.isfinite(views.seen).all(-1)
+        self.valid = np.asarray(np.isfinite(views.seen).all(-1), np.bool_)
         flow = np.linalg.norm((views.seen - views.seen[-1])[..., :2] * self._focal[:2], axis=-1)
         slide = views.hops[:, views.body] * told.slide_per_hop_px**2
         slide = slide + (told.slide_per_flow * np.nan_to_num(flow)) ** 2

@@ -9,7 +9,7 @@ from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.registration import register_rigid, triangle_height
-from ovmot.geometry.triangulation import inverse_3x3, project_stereo
+from ovmot.geometry.triangulation import inverse_3x3
 from ovmot.objects.grouping import MotionHistory
 
 _GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
@@ -91,9 +91,7 @@ def ransac_motion(
     for drawn in range(_BATCH, _BATCH * _MAX_BATCHES + 1, _BATCH):
         triple = _triples(n, rng)
         T, penalty = _proposals(p[triple], q[triple], sigma[triple], comparison.span_s[row])
-        h, _ = project_stereo(se3.apply(T[:, None], p), rig.T_cam1_cam0)
-        r = points.history.now[index] - h
-        distance = (r[..., None, :] @ W @ r[..., None])[..., 0, 0]
+        distance = _distances(T, p, points.history.now[index], W, rig.T_cam1_cam0)
         cost = np.minimum(distance, _GATE).sum(1) + penalty
         k = int(np.argmin(cost))
         if cost[k] < best_cost:
@@ -102,6 +100,21 @@ def ransac_motion(
         if (1.0 - share**3) ** drawn < _MISS:
             break
     return best_T, best
+
+
+def _distances(
+    T: FloatArray, p: FloatArray, seen: FloatArray, W: FloatArray, T_cam1_cam0: FloatArray
+) -> FloatArray:
+    """Squared distances (H, n) of points (n, 3) moved by T (H, 4, 4) from where they are seen.
+
+    `seen` (n, 4) in both views, `W` (n, 4, 4) its weights.
+    """
+    q = p @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+    q1 = q @ T_cam1_cam0[:3, :3].T + T_cam1_cam0[:3, 3]
+    h = np.concatenate([q[..., :2] / q[..., 2:], q1[..., :2] / q1[..., 2:]], axis=-1)
+    r = np.swapaxes(seen - h, 0, 1)  # each point's weights meet all its residuals at once
+    distance: FloatArray = ((r @ W) * r).sum(-1).T
+    return distance
 
 
 def _triples(n: int, rng: np.random.Generator) -> IntArray:
@@ -121,6 +134,8 @@ def _proposals(
     t = ((q - p) * weight[..., None]).sum(1) / weight.sum(1)[:, None]
     shift = se3.make(np.eye(3), t)
     wide = triangle_height(q) > _HEIGHT_SIGMAS * sigma.max(1)
+    if not wide.any():
+        return shift, np.zeros(len(shift))
     rigid = register_rigid(p[wide], q[wide])
     cosine = 0.5 * (np.trace(rigid[:, :3, :3], axis1=1, axis2=2) - 1.0)
     rigid = rigid[cosine > np.cos(_MAX_RATE * span_s)]

@@ -14,9 +14,9 @@ from ovmot.geometry.triangulation import project_stereo
 
 @dataclass(frozen=True, slots=True)
 class FoundMotion:
-    """A body's `velocity` (3,) in m/s with covariance (3, 3), and its N points in the present left
-    camera: where they are, `moved` (N, 3), and where the ego motion alone would have them, `at_rest`
-    (N, 3), by the refined earlier points."""
+    """A body's `velocity` (3,) in m/s with covariance (3, 3), and its N points, in the present left
+    camera: where they are, `moved` (N, 3), and `at_rest` (N, 3), where the ego motion alone would
+    have the refined earlier points."""
 
     velocity: FloatArray
     covariance: FloatArray
