@@ -20,7 +20,7 @@ from ovmot.geometry.triangulation import inverse_3x3, project_plane
 
 _ITERATIONS = 6
 _WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
-_SMALL_STEP = 1e-2  # m/s and rad/s
+_SMALL_STEP = 0.02  # squared sigmas: of a step after which the next one is nothing
 _HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
 _OUTLIER_SHARE = 0.001  # of good points that count as wrong
 _MIN_INVERSE_DEPTH = 1e-3
@@ -111,7 +111,8 @@ def refine_bodies(
         point = point + follow
         point[:, 2] = np.maximum(point[:, 2], _MIN_INVERSE_DEPTH)
         twist = twist + step
-        if iteration >= _WIDE_ITERATIONS and np.abs(step).max() < _SMALL_STEP:
+        step_size = np.einsum("bi,bij,bj->b", step, information, step)
+        if iteration >= _WIDE_ITERATIONS and step_size.max() < _SMALL_STEP:
             break
     # Misfit beyond the noise told widens the covariance; less misfit does not narrow it.
     kept = np.where(inlier, 1.0, 0.0)
