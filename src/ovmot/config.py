@@ -56,6 +56,14 @@ class TrackerSettings(Section):
     """Side of the patch that optical flow compares."""
     klt_levels: int = Field(4, ge=1, le=8)
     """Levels of the image pyramid."""
+    spare_features: int = Field(80, ge=0, le=2000)
+    """Further features in cells of the image that have less than their even share."""
+    focus_features: int = Field(150, ge=0, le=2000)
+    """Further features where something seems to move, beside those above."""
+    focus_distance_px: float = Field(7.0, ge=2.0)
+    """Distance that these keep from each other."""
+    focus_width_m: float = Field(3.0, gt=0.0)
+    """Width of the surroundings of a moving point in which they are sought."""
     cameras: Literal["stereo", "left"] = "stereo"
     """Match both cameras, or use the left one alone; nothing can be found to move then."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
@@ -305,9 +313,9 @@ class ObjectTrackSettings(Section):
     """How much it accelerates upwards, m/s^2/sqrt(Hz)."""
     yaw_accel: float = Field(0.3, gt=0.0)
     """How much its yaw rate changes, rad/s^2/sqrt(Hz)."""
-    confirm_hits: int = Field(3, ge=1)
+    confirm_hits: int = Field(2, ge=1)
     """Measurements after which a track is confirmed."""
-    confirm_s: float = Field(0.15, ge=0.0)
+    confirm_s: float = Field(0.05, ge=0.0)
     """Time that they must span."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""

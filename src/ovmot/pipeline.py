@@ -12,7 +12,7 @@ from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.split import Split, split_points
@@ -54,6 +54,10 @@ class FrontEnd(Protocol):
 
     def calibrate(self, rig: StereoRig) -> None:
         """From now on the rig is calibrated like this."""
+        ...
+
+    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
+        """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
         ...
 
     def close(self) -> None:
@@ -199,6 +203,8 @@ class Pipeline:
         # 5 objects: group, fit rigid motions, refine, and track, by the corrected motion
         with watch.stage("objects"):
             tracks, points = self._track_objects(table, split.points, ego)
+            # 6 focus: look closer where something moves, or may
+            self._frontend.focus(*self._where_to_look(points, split.suspect))
         # 7 forget: the oldest pose leaves, or the newest when standing
         with watch.stage("forget"):
             self._ego, self._table = ego.forget(table)
@@ -236,6 +242,19 @@ class Pipeline:
         now_ns = int(table.frame_ns[-1])
         tracks, owner = self._objects.step(now_ns, measurements, points, T_world_cam0)
         return tracks, replace(points, track_id=owner)
+
+    def _where_to_look(
+        self, points: ScenePoints, suspect: BoolArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Left pixels (N, 2) of points that move or do not look at rest, and radii (N,) around."""
+        if self._objects is None:
+            return np.empty((0, 2)), np.empty(0)
+        depth = points.p_cam0[:, 2]
+        moving = (points.label == int(PointLabel.DYNAMIC)) | (points.track_id >= 0)
+        chosen = np.flatnonzero((moving | suspect) & np.isfinite(depth))
+        half_width = 0.5 * self._settings.tracker.focus_width_m
+        radius = half_width * self._rig.cam0.fx / np.maximum(depth[chosen], 1.0)
+        return points.pixels[chosen, :2], radius
 
     def close(self) -> None:
         """Stop worker threads and count the frames that the IMU never covered."""

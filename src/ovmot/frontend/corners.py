@@ -20,16 +20,26 @@ def detect_corners(
 ) -> FloatArray:
     """Up to `n_wanted` new corners (M, 2), strongest first, away from `existing` (N, 2).
 
-    E. Rosten & T. Drummond, ECCV 2006. Each grid cell may fill up to twice its even share
-    of `max_features`; no two corners come nearer than `min_distance_px`. None where `mask` is not
-    zero.
+    Each grid cell may fill up to twice its even share of `max_features`; no two corners come nearer
+    than `min_distance_px`. None where `mask` is not zero.
     """
     if n_wanted <= 0:
         return np.empty((0, 2))
-    detector = cv2.FastFeatureDetector.create(settings.fast_threshold, nonmaxSuppression=True)
+    points, response = fast_corners(image, settings.fast_threshold, mask)
+    return choose_corners(points, response, existing, n_wanted, settings, image.shape)
+
+
+def fast_corners(
+    image: Image, threshold: int, mask: Image | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """All corners (M, 2) of an image and their strength (M,); none where `mask` is not zero.
+
+    FAST (E. Rosten & T. Drummond, ECCV 2006).
+    """
+    detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
     keypoints = detector.detect(image, None if mask is None else (mask == 0).astype(np.uint8))
     if not keypoints:
-        return np.empty((0, 2))
+        return np.empty((0, 2)), np.empty(0)
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
     response = np.fromiter((k.response for k in keypoints), np.float64, len(keypoints))
     height, width = image.shape
@@ -37,7 +47,21 @@ def detect_corners(
         (points[:, 0] >= _BORDER_PX) & (points[:, 0] < width - _BORDER_PX)
         & (points[:, 1] >= _BORDER_PX) & (points[:, 1] < height - _BORDER_PX)
     )  # fmt: skip
-    points, response = points[inside], response[inside]
+    return points[inside], response[inside]
+
+
+def choose_corners(
+    points: FloatArray,
+    response: FloatArray,
+    existing: FloatArray,
+    n_wanted: int,
+    settings: TrackerSettings,
+    shape: tuple[int, ...],
+) -> FloatArray:
+    """Of corners (M, 2), at most `n_wanted` strong ones, spread as `detect_corners` says."""
+    if n_wanted <= 0 or len(points) == 0:
+        return np.empty((0, 2))
+    height, width = shape[:2]
     points = _best_of_each_bin(points, response, settings.min_distance_px, width)
     return _spread(points, existing, n_wanted, (width, height), settings)
 

@@ -26,6 +26,9 @@ class GivenFeatures:
         """From now on the rig is calibrated like this."""
         self._rig = rig
 
+    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
+        """Given features are what they are."""
+
     def close(self) -> None:
         """Nothing to stop."""
 

@@ -9,9 +9,10 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend.contrast import EQUALIZERS
-from ovmot.frontend.corners import detect_corners
+from ovmot.frontend.corners import choose_corners, fast_corners
 from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.flow import follow
+from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
 from ovmot.frontend.prediction import fill_depths, predict_left, predict_right, unexplained_flow
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
@@ -65,10 +66,15 @@ class StereoTracker:
         self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
         self._memory: _Memory | None = None
         self._next_id = 0
+        self._focus = (np.empty((0, 2)), np.empty(0))
 
     def calibrate(self, rig: StereoRig) -> None:
         """From now on the rig is calibrated like this."""
         self._rig = rig
+
+    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
+        """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
+        self._focus = (uv, radius_px)
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -124,8 +130,7 @@ class StereoTracker:
 
     def _add_corners(self, left: Image, points: _LeftPoints, mask: Image | None) -> _LeftPoints:
         """The points and as many new corners as there is room for."""
-        n_wanted = self._settings.max_features - len(points.feature_id)
-        uv = detect_corners(left, points.uv, n_wanted, self._settings, mask)
+        uv = self._new_corners(left, points.uv, mask)
         xy = self._rig.cam0.normalize(uv)
         uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
         n = len(uv)
@@ -140,6 +145,28 @@ class StereoTracker:
             extra_flow=np.concatenate([points.extra_flow, np.zeros((n, 2))]),
             inlier=np.concatenate([points.inlier, np.ones(n, dtype=np.bool_)]),
         )
+
+    def _new_corners(self, left: Image, existing: FloatArray, mask: Image | None) -> FloatArray:
+        """New corners (M, 2) over the image, where it has few, and where something may move."""
+        settings, shape = self._settings, left.shape
+        focus = focus_mask(shape, *self._focus)
+        corners, response = fast_corners(left, settings.fast_threshold, mask)
+        within, has = _is_masked(corners, focus), _is_masked(existing, focus)
+        taken, resting = existing, int((~has).sum())
+        for n_most, chosen in (
+            (settings.max_features - resting, settings),
+            (settings.max_features + settings.spare_features - resting, sparse_settings(settings)),
+        ):
+            new = choose_corners(
+                corners[~within], response[~within], taken,
+                n_most - (len(taken) - len(existing)), chosen, shape,
+            )  # fmt: skip
+            taken = np.concatenate([taken, new])
+        n_most = settings.focus_features - int(has.sum())
+        new = choose_corners(
+            corners[within], response[within], taken, n_most, dense_settings(settings), shape
+        )
+        return np.concatenate([taken, new])[len(existing) :]
 
     def _match_right(
         self, left: Image, right: Image, points: _LeftPoints, mask: Image | None
