@@ -108,6 +108,9 @@ def run(
         bool, typer.Option("--save-points", help="Write points.csv and stereo.csv.")
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write overlay.mp4.")] = False,
+    no_objects: Annotated[
+        bool, typer.Option("--no-objects", help="Do not look for moving objects.")
+    ] = False,
     force: Annotated[
         bool, typer.Option("--force", help="Replace the run that the folder holds.")
     ] = False,
@@ -116,7 +119,8 @@ def run(
 ) -> None:
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
     prepare_process()
-    settings = load_settings(config, set_ or ())
+    overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
+    settings = load_settings(config, overrides)
     recorded = open_sequence(data, format, sequence, calibration, settings.imu.max_gap_s)
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")

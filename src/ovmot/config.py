@@ -56,8 +56,8 @@ class TrackerSettings(Section):
     """Side of the patch that optical flow compares."""
     klt_levels: int = Field(4, ge=1, le=8)
     """Levels of the image pyramid."""
-    spare_features: int = Field(80, ge=0, le=2000)
-    """Further features in cells of the image that have less than their even share."""
+    covered_cell_px: int = Field(40, ge=8)
+    """Side of image cells that get a feature whenever they hold none, whatever the number."""
     focus_features: int = Field(150, ge=0, le=2000)
     """Further features where something seems to move, beside those above."""
     focus_distance_px: float = Field(7.0, ge=2.0)

@@ -34,8 +34,8 @@ def dense_settings(settings: TrackerSettings) -> TrackerSettings:
 
 
 def sparse_settings(settings: TrackerSettings) -> TrackerSettings:
-    """The settings by which only cells with less than their even share get corners.
+    """The settings by which every empty cell gets a corner, and no other one does.
 
-    So a body that covers what was followed gets features though there are enough elsewhere.
+    So a body that covers what was followed is followed itself, though there are enough elsewhere.
     """
-    return settings.model_copy(update={"max_features": max(settings.max_features // 2, 1)})
+    return settings.model_copy(update={"max_features": 1, "grid_cell_px": settings.covered_cell_px})

@@ -20,6 +20,7 @@ from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
 _BORDER_PX = 3.0
+_UNLIMITED = 100_000
 _DEFAULT_DEPTH_BASELINES = 40.0  # where nothing is known, points are taken this far away
 
 
@@ -155,7 +156,7 @@ class StereoTracker:
         taken, resting = existing, int((~has).sum())
         for n_most, chosen in (
             (settings.max_features - resting, settings),
-            (settings.max_features + settings.spare_features - resting, sparse_settings(settings)),
+            (_UNLIMITED, sparse_settings(settings)),
         ):
             new = choose_corners(
                 corners[~within], response[~within], taken,
