@@ -1,0 +1,76 @@
+"""Where features are wanted: around what may move, and where an image has none."""
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import EpipolarSettings, TrackerSettings
+from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
+from ovmot.frontend.tracker import StereoTracker
+from ovmot.geometry.arrays import Image
+from ovmot.types import StereoFrame
+
+SETTINGS = TrackerSettings(
+    max_features=40, min_distance_px=14.0, fast_threshold=12, equalization="none",
+    focus_features=60, focus_distance_px=5.0, covered_cell_px=40,
+)  # fmt: skip
+
+
+def textured(seed: int = 0) -> Image:
+    """Small squares of any grey on grey: corners everywhere."""
+    rng = np.random.default_rng(seed)
+    image = np.full((240, 320), 120, dtype=np.uint8)
+    for u, v in rng.integers([4, 4], [312, 232], (900, 2)).tolist():
+        image[v : v + 4, u : u + 4] = rng.choice([20, 60, 180, 240])
+    return image
+
+
+def test_the_mask_holds_small_circles_alone() -> None:
+    assert focus_mask((240, 320), np.empty((0, 2)), np.empty(0)) is None
+    mask = focus_mask((240, 320), np.array([[100.0, 50.0], [200.0, 150.0]]), np.array([20.0, 99.0]))
+    assert mask is not None
+    assert mask[50, 115] > 0 and mask[50, 125] == 0
+    assert mask[150, 200] == 0  # what is near has features enough
+    assert focus_mask((240, 320), np.array([[9.0, 9.0]]), np.array([80.0])) is None
+
+
+def test_settings_of_the_passes() -> None:
+    assert dense_settings(SETTINGS).min_distance_px == 5.0
+    assert sparse_settings(SETTINGS).grid_cell_px == 40
+
+
+def test_more_features_where_something_may_move(painted_rig: StereoRig) -> None:
+    image = textured()
+    tracker = StereoTracker(painted_rig, SETTINGS, EpipolarSettings())
+    try:
+        first, _ = tracker.track(StereoFrame(0, image, image), np.eye(4))
+        tracker.focus(np.array([[150.0, 120.0]]), np.array([30.0]))
+        second, _ = tracker.track(StereoFrame(1, image, image), np.eye(4))
+    finally:
+        tracker.close()
+
+    def around(pixels: np.ndarray) -> int:
+        return int((np.linalg.norm(pixels[:, :2] - [150.0, 120.0], axis=1) < 30.0).sum())
+
+    assert around(second.pixels) > 3 * max(around(first.pixels), 2)
+    assert around(second.pixels) <= 60
+    kept = np.isin(first.feature_id, second.feature_id).mean()
+    assert kept > 0.9
+
+
+def test_a_covered_part_of_the_image_gets_features_though_there_are_enough(
+    painted_rig: StereoRig,
+) -> None:
+    image = textured()
+    covered = image.copy()
+    covered[60:180, 100:220] = textured(9)[60:180, 100:220]
+    tracker = StereoTracker(painted_rig, SETTINGS, EpipolarSettings())
+    try:
+        before, _ = tracker.track(StereoFrame(0, image, image), np.eye(4))
+        after, _ = tracker.track(StereoFrame(1, covered, covered), np.eye(4))
+    finally:
+        tracker.close()
+    assert len(before) >= 40
+    u, v = after.pixels[:, 0], after.pixels[:, 1]
+    inside = (u > 105) & (u < 215) & (v > 65) & (v < 175)
+    fresh = inside & ~np.isin(after.feature_id, before.feature_id)
+    assert fresh.sum() >= 5

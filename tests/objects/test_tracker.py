@@ -1,0 +1,261 @@
+"""Tracks of synthetic bodies: ids, life, velocities and their stated uncertainty."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import ObjectTrackSettings
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.association import associate
+from ovmot.objects.measurement import ObjectMeasurement
+from ovmot.objects.tracker import ObjectTracker
+from ovmot.types import ObjectTrack, PointLabel, ScenePoints
+
+FRAME_NS = 100_000_000
+R_WORLD_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+T_WORLD_CAM0 = se3.make(R_WORLD_CAM, np.array([0.0, 0.0, 1.6]))
+SIZE = np.array([4.0, 1.8, 1.5])
+
+
+def small_rig() -> StereoRig:
+    camera = Camera.make((640, 280), (400.0, 400.0), (320.0, 140.0))
+    right = se3.make(np.eye(3), np.array([0.47, 0.0, 0.0]))
+    return StereoRig(camera, camera, np.eye(4), right)
+
+
+@dataclass
+class Body:
+    """A box of points that goes straight or in a curve; `seen` says at which times it is."""
+
+    start: FloatArray
+    velocity: FloatArray
+    first_id: int
+    yaw_rate: float = 0.0
+    stops_at_s: float = np.inf
+    hidden_s: tuple[float, float] = (np.inf, np.inf)
+    points: FloatArray = field(
+        default_factory=lambda: np.random.default_rng(1).uniform(-0.5, 0.5, (12, 3)) * SIZE
+    )
+
+    def motion(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity (3,) at t seconds."""
+        t = min(t, self.stops_at_s)
+        v = self.velocity
+        if self.yaw_rate == 0.0:
+            return self.start + v * t, v * (t < self.stops_at_s)
+        a, w = self.yaw_rate * t, self.yaw_rate
+        s, c = np.sin(a), np.cos(a)
+        moved = np.array([[s, c - 1.0], [1.0 - c, s]]) @ v[:2] / w
+        turned = np.array([[c, -s], [s, c]]) @ v[:2]
+        return self.start + np.array([*moved, 0.0]), np.array([*turned, 0.0])
+
+    def is_seen(self, t: float) -> bool:
+        return not self.hidden_s[0] <= t < self.hidden_s[1]
+
+    @property
+    def feature_id(self) -> IntArray:
+        return self.first_id + np.arange(len(self.points))
+
+
+def measure(
+    body: Body, t: float, rng: np.random.Generator, sigma: float = 0.25
+) -> ObjectMeasurement | None:
+    """What the stage before gives: nothing of what stands or is hidden."""
+    position, velocity = body.motion(t)
+    if not body.is_seen(t) or np.linalg.norm(velocity) < 0.5:
+        return None
+    P = np.diag(np.repeat([0.05, sigma], 3) ** 2)
+    e = rng.multivariate_normal(np.zeros(6), P)
+    return ObjectMeasurement(
+        feature_id=body.feature_id, p_world=body.points + position, position=position + e[:3],
+        velocity=velocity + e[3:], yaw_rate=body.yaw_rate + rng.normal(0.0, 0.05),
+        T_now_before=np.eye(4), span_s=0.1, covariance=P, yaw_rate_variance=0.05**2, size=SIZE,
+    )  # fmt: skip
+
+
+def scene_points(bodies: Sequence[Body], t: float, rng: np.random.Generator) -> ScenePoints:
+    ids, world = [np.empty(0, dtype=np.int64)], [np.empty((0, 3))]
+    for body in bodies:
+        if body.is_seen(t):
+            ids.append(body.feature_id)
+            world.append(body.points + body.motion(t)[0])
+    feature_id, p_world = np.concatenate(ids), np.concatenate(world)
+    p_cam0 = se3.apply(se3.inverse(T_WORLD_CAM0), p_world) + rng.normal(0.0, 0.02, p_world.shape)
+    n = len(feature_id)
+    rig = small_rig()
+    left = rig.cam0.project(p_cam0)
+    pair, nothing = np.full((n, 2), np.nan), np.full(n, np.nan)
+    return ScenePoints(
+        feature_id, np.concatenate([left, left], axis=1), p_cam0,
+        np.broadcast_to(4e-4 * np.eye(3), (n, 3, 3)).copy(),
+        np.full(n, int(PointLabel.DYNAMIC)), np.full(n, -1), pair, pair, nothing, nothing,
+        np.ones(n, dtype=np.bool_),
+    )  # fmt: skip
+
+
+def run(
+    bodies: Sequence[Body], seconds: float, seed: int = 0, frame_ns: int = FRAME_NS
+) -> list[tuple[float, tuple[ObjectTrack, ...], IntArray]]:
+    rng = np.random.default_rng(seed)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    out = []
+    for k in range(round(1e9 * seconds / frame_ns)):
+        t = 1e-9 * k * frame_ns
+        found = [m for body in bodies if (m := measure(body, t, rng)) is not None]
+        tracks, owner = tracker.step(
+            k * frame_ns, found, scene_points(bodies, t, rng), T_WORLD_CAM0
+        )
+        out.append((t, tracks, owner))
+    return out
+
+
+def body(x: float, y: float, vx: float, vy: float, first_id: int = 0, **more: object) -> Body:
+    made = Body(np.array([x, y, 0.8]), np.array([vx, vy, 0.0]), first_id)
+    return replace(made, **more)  # type: ignore[arg-type]
+
+
+def confirmed(tracks: tuple[ObjectTrack, ...]) -> list[ObjectTrack]:
+    return [track for track in tracks if track.state == "confirmed"]
+
+
+@pytest.mark.parametrize(
+    "moving",
+    [
+        body(12.0, 0.0, 9.0, 0.0),  # a lead car
+        body(90.0, 3.0, -28.0, 0.0),  # an oncoming one
+        body(15.0, -12.0, 0.0, 7.0),  # a crossing one
+        body(8.0, 3.0, 0.0, -1.2),  # a walker
+        body(15.0, 0.0, 6.0, 0.0, yaw_rate=0.5),
+    ],
+    ids=["lead", "oncoming", "crossing", "walker", "turning"],
+)
+@pytest.mark.parametrize("frame_ns", [100_000_000, 50_000_000])
+def test_one_body_is_one_track(moving: Body, frame_ns: int) -> None:
+    frames = run([moving], 2.5, frame_ns=frame_ns)
+    assert {track.track_id for _, tracks, _ in frames for track in tracks} == {0}
+    for t, tracks, owner in frames:
+        if t < 0.35:
+            continue
+        (track,) = confirmed(tracks)
+        position, velocity = moving.motion(t)
+        assert np.linalg.norm(track.velocity - velocity) < 0.9
+        assert np.linalg.norm(track.position - position) < 0.5
+        assert (owner == 0).all()
+        assert track.n_points == 12
+        if np.linalg.norm(velocity) > 2.0:
+            heading = np.arctan2(velocity[1], velocity[0])
+            assert abs(np.angle(np.exp(1j * (track.yaw - heading)))) < 0.25
+        u_min, v_min, u_max, v_max = track.box_px
+        assert u_min < u_max and v_min < v_max
+
+
+def test_a_turning_body_is_seen_to_turn() -> None:
+    _, tracks, _ = run([body(15.0, 0.0, 6.0, 0.0, yaw_rate=0.5)], 3.0)[-1]
+    assert tracks[0].yaw_rate == pytest.approx(0.5, abs=0.1)
+    _, tracks, _ = run([body(15.0, 0.0, 6.0, 0.0)], 3.0)[-1]
+    assert abs(tracks[0].yaw_rate) < 0.02
+
+
+def test_a_body_that_stops_stays_a_track() -> None:
+    frames = run([body(10.0, 2.0, 5.0, 0.0, stops_at_s=1.5)], 4.0)
+    assert {track.track_id for _, tracks, _ in frames for track in tracks} == {0}
+    (last,) = frames[-1][1]
+    assert last.state == "confirmed"
+    assert np.linalg.norm(last.velocity) < 0.2
+    assert np.linalg.norm(last.position - [17.5, 2.0, 0.8]) < 0.4
+
+
+def test_an_occluded_body_keeps_its_id() -> None:
+    hidden = body(10.0, -8.0, 0.5, 6.0, hidden_s=(1.0, 2.5))
+    after = replace(hidden, first_id=100)  # what comes back has new features
+    rng = np.random.default_rng(3)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    states = []
+    for k in range(40):
+        t = 0.1 * k
+        now = hidden if t < 2.0 else after
+        measurement = measure(now, t, rng)
+        found = [] if measurement is None else [measurement]
+        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([now], t, rng), T_WORLD_CAM0)
+        assert {track.track_id for track in tracks} <= {0}
+        states.append(tracks[0].state if tracks else "gone")
+    assert states[12:24] == ["coasting"] * 12
+    assert states[26:] == ["confirmed"] * 14
+
+
+def test_unseen_for_long_it_is_gone_and_its_id_never_comes_back() -> None:
+    frames = run([body(10.0, -8.0, 0.5, 4.0, hidden_s=(1.0, 3.6))], 5.0)
+    ids = [[track.track_id for track in tracks] for _, tracks, _ in frames]
+    assert ids[28] == [0]
+    assert ids[33] == []
+    assert ids[-1] == [1]
+
+
+def test_two_bodies_side_by_side_do_not_swap() -> None:
+    two = [body(12.0, -1.7, 8.0, 0.0), body(12.5, 1.7, 8.3, 0.0, first_id=50)]
+    frames = run(two, 3.0)
+    for t, tracks, _ in frames[4:]:
+        by_id = {track.track_id: track for track in confirmed(tracks)}
+        assert set(by_id) == {0, 1}
+        for k in (0, 1):
+            assert np.linalg.norm(by_id[k].position - two[k].motion(t)[0]) < 0.6
+
+
+def test_what_is_measured_once_is_never_confirmed() -> None:
+    rng = np.random.default_rng(5)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    for k in range(30):
+        found = []
+        if k % 4 == 0:
+            x, y, vx, vy = rng.uniform([8.0, -8.0, -6.0, -6.0], [30.0, 8.0, 6.0, 6.0])
+            ghost = body(x, y, vx, vy, 20 * k)
+            ghost_seen = measure(ghost, 0.0, rng)
+            found = [] if ghost_seen is None else [ghost_seen]
+        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([], 0.0, rng), T_WORLD_CAM0)
+        assert not confirmed(tracks)
+
+
+def test_two_tracks_on_one_body_become_one() -> None:
+    """For a while its halves are measured apart, each with its own features."""
+    rng = np.random.default_rng(6)
+    whole = body(12.0, 0.0, 8.0, 0.0)
+    front = replace(whole, start=whole.start + np.array([1.0, 0.0, 0.0]), first_id=50)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    counts = []
+    for k in range(25):
+        t = 0.1 * k
+        halves = [whole, front] if k < 4 else [whole]
+        found = [m for b in halves if (m := measure(b, t, rng)) is not None]
+        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points(halves, t, rng), T_WORLD_CAM0)
+        counts.append(len(tracks))
+    assert max(counts) == 2
+    assert counts[-1] == 1
+    assert tracks[0].track_id == 0
+
+
+def test_the_velocity_is_as_sure_as_it_says() -> None:
+    nees = []
+    for seed in range(20):
+        moving = body(20.0, -6.0, 2.0, 5.0)
+        for t, tracks, _ in run([moving], 2.0, seed=seed)[6:]:
+            e = tracks[0].velocity - moving.motion(t)[1]
+            nees.append(float((e**2 / tracks[0].std_velocity ** 2).sum()))
+    assert 0.3 * 3.0 < np.mean(nees) < 2.0 * 3.0
+
+
+def test_nothing_to_track() -> None:
+    frames = run([], 0.5)
+    assert all(tracks == () and len(owner) == 0 for _, tracks, owner in frames)
+
+
+def test_shared_features_and_gates_decide() -> None:
+    far = np.array([[30.0, 900.0], [900.0, 500.0]])
+    share, count = np.array([[0.9, 0.0], [0.0, 0.9]]), np.array([[5, 0], [0, 5]])
+    assert associate(far, share, count) == [(0, 0)]  # the second pair is absurdly far
+    assert associate(np.full((1, 1), 5.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == [(0, 0)]
+    assert associate(np.full((1, 1), 100.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == []
