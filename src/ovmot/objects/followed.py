@@ -14,6 +14,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.types import ScenePoints
 
 _MIN_FEATURES = 3
+_MOST_FEATURES = 24  # of one body: more tell little more
 _AGREE_SIGMAS = 3.0
 _MEMORY_S = 0.8
 
@@ -30,12 +31,15 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class FollowedBody:
-    """Middle, velocity and their covariance (6, 6) of features that moved together, and which."""
+    """Middle, velocity and their covariance (6, 6) of features that moved together.
+
+    `strayed`: the ids of those asked for that went another way.
+    """
 
     position: FloatArray
     velocity: FloatArray
     covariance: FloatArray
-    feature_id: IntArray
+    strayed: IntArray
 
 
 class Sightings:
@@ -82,6 +86,7 @@ def _moved(
     both = np.intersect1d(np.intersect1d(then.feature_id, now.feature_id), feature_id)
     if len(both) < _MIN_FEATURES:
         return None
+    both = both[:: -(-len(both) // _MOST_FEATURES)]
     a = np.searchsorted(then.feature_id, both)
     b = np.searchsorted(now.feature_id, both)
     moved = (now.p_world[b] - then.p_world[a]) / dt
@@ -97,7 +102,7 @@ def _moved(
     P = np.zeros((6, 6))
     P[:3, :3] = now.covariance[b][alike].mean(0) / alike.sum() + 0.01 * np.eye(3)
     P[3:, 3:] = P_v + 0.01 * np.eye(3)
-    return FollowedBody(middle, mean, P, both[alike])
+    return FollowedBody(middle, mean, P, both[~alike])
 
 
 def _agreeing(moved: FloatArray, C: FloatArray, velocity: FloatArray) -> BoolArray:

@@ -74,6 +74,10 @@ def motion_history(
     candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
     if len(candidate) < settings.min_points:
         return None
+    if len(candidate) > settings.max_points:
+        known = np.isfinite(history.then[:, candidate]).all(-1).sum(0)
+        longest = np.argsort(-known, kind="stable")[: settings.max_points]
+        candidate = np.sort(candidate[longest])
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
     W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)

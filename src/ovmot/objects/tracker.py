@@ -81,7 +81,7 @@ class ObjectTracker:
             state=TrackState.CONFIRMED,
             filter=corrected,
             offset=body.position - corrected.best.state[:3],
-            feature_id=body.feature_id,
+            feature_id=np.setdiff1d(track.feature_id, body.strayed),
             updated_ns=now_ns,
         )
 
