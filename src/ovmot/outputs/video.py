@@ -39,7 +39,7 @@ def compose(result: FrameResult, rig: StereoRig) -> Image:
     image_width = frame.left.shape[1]
     width = min(2 * image_width, _MAX_WIDTH)
     upper = draw_stereo(frame, result.matches, rig, width / (2 * image_width))
-    lower = draw_dynamic(frame, result.points, width / image_width)
+    lower = draw_dynamic(frame, result.points, width / image_width, result.tracks)
     height = upper.shape[0] + lower.shape[0]
     canvas = np.zeros((height + height % 2, width, 3), dtype=np.uint8)
     for picture, top in ((upper, 0), (lower, upper.shape[0])):
