@@ -88,8 +88,8 @@ class FilterSettings(Section):
     """Faster frames are followed, but their clones leave so that the window spans more time."""
     integration: Literal["discrete", "rk4", "analytic"] = "rk4"
     """IMU integration: one step of mean rates, Runge-Kutta of 4th order, or in closed form."""
-    pixel_sigma: float = Field(1.0, gt=0.0)
-    """Standard deviation of a feature's position in the image, pixels."""
+    pixel_sigma: float = Field(1.5, gt=0.0)
+    """Standard deviation of a feature's position in the image, pixels, slid patches included."""
     chi2_multiplier: float = Field(1.0, gt=0.0)
     """Factor on the 95 % chi-squared bound of a feature's innovation."""
     max_features_per_update: int = Field(60, ge=1)
