@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, qr
+from scipy.linalg import cho_factor, cho_solve, cholesky, qr, solve_triangular
 from scipy.special import chdtri
 
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -17,21 +17,18 @@ def ekf_update(
     """Correct the state by residual = H δ[columns] + n, n ~ N(0, diag(variance)).
 
     `H` (m, k), `columns` (k,): which error coordinates H multiplies, `residual` (m,), `variance`
-    (m,). Joseph's form keeps the covariance symmetric and positive (P. Maybeck 1979, sec. 5.6).
+    (m,). With S = L Lᵀ and W = P Hᵀ L⁻ᵀ the covariance becomes P - W Wᵀ, which stays symmetric, at
+    the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4).
     """
     if len(residual) == 0:
         return state
     P = state.covariance
     PHt = P[:, columns] @ H.T
-    S = H @ PHt[columns] + np.diag(variance)
-    gain = cho_solve(cho_factor(S, lower=True), PHt.T).T
-    KH = np.zeros_like(P)
-    KH[:, columns] = gain @ H
-    A = np.eye(len(P)) - KH
-    updated = A @ P @ A.T + (gain * variance) @ gain.T
-    updated = 0.5 * (updated + updated.T)
-    moved = box_plus(state, gain @ residual)
-    return replace(moved, covariance=updated)
+    L = cholesky(H @ PHt[columns] + np.diag(variance), lower=True)
+    W = solve_triangular(L, PHt.T, lower=True)
+    moved = box_plus(state, W.T @ solve_triangular(L, residual, lower=True))
+    updated = P - W.T @ W
+    return replace(moved, covariance=0.5 * (updated + updated.T))
 
 
 def innovation_distance(

@@ -87,8 +87,9 @@ class ObjectTracker:
 
 
 def _unseen(track: Track) -> Track:
+    """A tentative track must be measured in consecutive frames: it begins again."""
     if track.state == TrackState.TENTATIVE:
-        return track
+        return replace(track, hits=0, evidence=0.0)
     return replace(track, state=TrackState.COASTING)
 
 
