@@ -54,8 +54,10 @@ class TrackerSettings(Section):
     """Contrast correction before matching: one gain, the histogram, local (CLAHE), or none."""
     klt_window_px: int = Field(11, ge=5, le=51)
     """Side of the patch that optical flow compares."""
-    klt_levels: int = Field(4, ge=1, le=8)
-    """Levels of the image pyramid."""
+    klt_near_levels: int = Field(3, ge=1, le=8)
+    """Levels of the image pyramid for a search around a predicted place."""
+    klt_levels: int = Field(5, ge=1, le=8)
+    """Levels for a search far around, where that found nothing."""
     covered_cell_px: int = Field(40, ge=8)
     """Side of image cells that get a feature whenever they hold none, whatever the number."""
     focus_features: int = Field(150, ge=0, le=2000)

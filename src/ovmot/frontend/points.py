@@ -8,9 +8,9 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.config import TrackerSettings
 from ovmot.frontend.corners import choose_corners, fast_corners
-from ovmot.frontend.flow import follow
+from ovmot.frontend.flow import follow, follow_lost
 from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
-from ovmot.frontend.prediction import predict_pixels, unexplained_flow
+from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
@@ -98,9 +98,13 @@ class PointFollower:
             return old
         at_rest, depth = predict_pixels(old.xy, p_before, T_now_before, camera)
         start = at_rest + old.extra_flow
-        uv, ok = follow(self._image, view.image, old.uv, start, self._settings, self._workers)
-        xy = camera.normalize(uv)
-        ok &= view.shows(uv) & np.isfinite(xy[:, 0])
+        pictures = self._image, view.image, old.uv
+        flow = follow(*pictures, start, self._settings, self._workers)
+        nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)
+        again = np.stack([nearby, at_rest])
+        flow = follow_lost(*pictures, flow, again, self._settings, self._workers)
+        uv, xy = flow.uv, camera.normalize(flow.uv)
+        ok = flow.found & view.shows(uv) & np.isfinite(xy[:, 0])
         threshold = self._settings.two_view_threshold_px / camera.fx
         inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
         return CameraPoints(

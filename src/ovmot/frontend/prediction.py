@@ -9,6 +9,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 _NEAREST = 5
+_LEAST_EXTRA_PX = 3.0
 _MAX_EXTRA_FLOW_PX = 80.0
 
 
@@ -37,6 +38,25 @@ def unexplained_flow(found: FloatArray, at_rest: FloatArray, explained: BoolArra
     size = np.linalg.norm(extra, axis=1)
     carried = ~explained & np.isfinite(size) & (size < _MAX_EXTRA_FLOW_PX)
     return np.where(carried[:, None], extra, 0.0)
+
+
+def flow_nearby(
+    uv: FloatArray, at_rest: FloatArray, found: FloatArray, ok: BoolArray
+) -> FloatArray:
+    """Where lost points would be, had they gone as the movers around them: (N, 2), NaN for others.
+
+    `found` (N, 2) of the points `uv` (N, 2) that are `ok` (N,), against `at_rest` (N, 2).
+    """
+    start = np.full(uv.shape, np.nan)
+    extra = found - at_rest
+    with np.errstate(invalid="ignore"):
+        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > _LEAST_EXTRA_PX))
+    lost = np.flatnonzero(~ok)
+    if len(moves) < _NEAREST or len(lost) == 0:
+        return start
+    _, nearest = cKDTree(uv[moves]).query(uv[lost], k=_NEAREST)
+    start[lost] = at_rest[lost] + np.median(extra[moves][nearest], axis=1)
+    return start
 
 
 def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray:

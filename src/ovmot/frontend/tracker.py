@@ -9,7 +9,7 @@ from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend.contrast import EQUALIZERS
 from ovmot.frontend.epipolar import gate_matches, without_refused
-from ovmot.frontend.flow import follow
+from ovmot.frontend.flow import follow, follow_lost
 from ovmot.frontend.points import CameraPoints, FeatureIds, PointFollower, View
 from ovmot.frontend.prediction import fill_depths, predict_right
 from ovmot.geometry.arrays import FloatArray
@@ -73,10 +73,10 @@ class StereoTracker:
         default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
-        uv, ok = follow(
-            left.image, right.image, points.uv, start, self._settings, self._workers
-        )  # fmt: skip
-        ok &= right.shows(uv)
+        pictures = left.image, right.image, points.uv
+        flow = follow(*pictures, start, self._settings, self._workers)
+        flow = follow_lost(*pictures, flow, start[None], self._settings, self._workers)
+        uv, ok = flow.uv, flow.found & right.shows(flow.uv)
         pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
         xy = right.camera.normalize(pixels[:, 2:])
         normalized = np.concatenate([points.xy, xy], axis=1)
