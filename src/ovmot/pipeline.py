@@ -12,7 +12,7 @@ from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.split import Split, split_points
@@ -58,6 +58,10 @@ class FrontEnd(Protocol):
 
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
+        ...
+
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
         ...
 
     def close(self) -> None:
@@ -240,8 +244,10 @@ class Pipeline:
         )
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         now_ns = int(table.frame_ns[-1])
-        tracks, owner = self._objects.step(now_ns, measurements, points, T_world_cam0)
-        return tracks, replace(points, track_id=owner)
+        tracks, points = self._objects.step(now_ns, measurements, points, T_world_cam0)
+        ids, velocity = self._objects.expected(points)
+        self._frontend.expect(ids, velocity @ T_world_cam0[:3, :3])
+        return tracks, points
 
     def _where_to_look(
         self, points: ScenePoints, suspect: BoolArray

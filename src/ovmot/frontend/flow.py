@@ -43,7 +43,9 @@ def follow(
     `start` (N, 2): where to begin the search; NaN means at `points`. Few levels of the pyramid: a
     coarse patch is as large as a body, and what is larger around it would pull it along.
     """
-    return _follow_halves(source, target, points, start, settings.klt_near_levels, settings, workers)
+    return _follow_halves(
+        source, target, points, start, settings.klt_near_levels, settings, workers
+    )
 
 
 def follow_lost(

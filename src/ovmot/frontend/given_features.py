@@ -62,6 +62,9 @@ class GivenFeatures:
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """Given features are what they are."""
 
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """They need no prediction."""
+
     def close(self) -> None:
         """Nothing to stop."""
 

@@ -80,24 +80,31 @@ class PointFollower:
         """From now on, look closer around these pixels (N, 2), within radii (N,)."""
         self._focus = (uv, radius_px)
 
-    def step(self, view: View, p_before: FloatArray, T_now_before: FloatArray) -> CameraPoints:
+    def step(
+        self, view: View, p_before: FloatArray, p_moved: FloatArray, T_now_before: FloatArray
+    ) -> CameraPoints:
         """The points of this view: those of the last one that are found again, and new corners.
 
         `p_before` (N, 3): where the last points were in the camera's frame of then, NaN where
-        unknown; `T_now_before` (4, 4): predicted motion of the camera since.
+        unknown, and `p_moved` where in that frame they should be now, if they move by themselves;
+        `T_now_before` (4, 4): predicted motion of the camera since.
         """
-        points = self._followed(view, p_before, T_now_before)
+        points = self._followed(view, p_before, p_moved, T_now_before)
         self.points = self._with_corners(view, points)
         self._image = view.image
         return self.points
 
-    def _followed(self, view: View, p_before: FloatArray, T_now_before: FloatArray) -> CameraPoints:
+    def _followed(
+        self, view: View, p_before: FloatArray, p_moved: FloatArray, T_now_before: FloatArray
+    ) -> CameraPoints:
         """The last image's points in this one; those lost are gone."""
         old, camera = self.points, view.camera
         if self._image is None:
             return old
-        at_rest, depth = predict_pixels(old.xy, p_before, T_now_before, camera)
-        start = at_rest + old.extra_flow
+        at_rest, _ = predict_pixels(old.xy, p_before, T_now_before, camera)
+        start, depth = predict_pixels(old.xy, p_moved, T_now_before, camera)
+        moves = np.isfinite(p_moved[:, 0]) & (p_moved != p_before).any(axis=1)
+        start = np.where(moves[:, None], start, at_rest + old.extra_flow)
         pictures = self._image, view.image, old.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)

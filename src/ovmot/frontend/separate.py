@@ -10,7 +10,7 @@ from ovmot.frontend.epipolar import no_matches
 from ovmot.frontend.points import CameraPoints, FeatureIds, PointFollower
 from ovmot.frontend.tracker import views
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -38,6 +38,9 @@ class SeparateTracker:
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """Without stereo nothing is known to move: there is nothing to look at closer."""
 
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """Without stereo nothing is known to move."""
+
     def close(self) -> None:
         """Stop the worker threads."""
         self._workers.shutdown()
@@ -55,7 +58,8 @@ class SeparateTracker:
         for side, follower in self._followers.items():
             T = _motion_of(side, T_now_before, self._rig)
             before = follower.points
-            points[side] = follower.step(of_both[side], self._positions[side], T)
+            at_rest = self._positions[side]
+            points[side] = follower.step(of_both[side], at_rest, at_rest, T)
             self._positions[side] = _positions(before, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()
 

@@ -12,7 +12,7 @@ from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.flow import follow, follow_lost
 from ovmot.frontend.points import CameraPoints, FeatureIds, PointFollower, View
 from ovmot.frontend.prediction import fill_depths, predict_right
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -35,6 +35,8 @@ class StereoTracker:
         self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
         self._left = PointFollower(settings, self._workers, FeatureIds())
         self._pairs = np.empty((0, 4))  # plane coordinates of the last frame
+        self._last_ns = 0
+        self._moving = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
     def calibrate(self, rig: StereoRig) -> None:
         """From now on the rig is calibrated like this."""
@@ -43,6 +45,10 @@ class StereoTracker:
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
         self._left.focus(uv, radius_px)
+
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
+        self._moving = (feature_id, velocity)
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -59,12 +65,25 @@ class StereoTracker:
         """
         left, right = views(frame, self._rig, self._settings, self._workers)
         p_before = triangulate_stereo(self._pairs, self._rig.T_cam1_cam0)
-        points = self._left.step(left, p_before, T_now_before)
+        p_moved = p_before + self._moved(1e-9 * (frame.timestamp_ns - self._last_ns))
+        points = self._left.step(left, p_before, p_moved, T_now_before)
+        self._last_ns = frame.timestamp_ns
         pixels, self._pairs, matches = self._match_right(left, right, points)
         seen = FrontendFrame(
             frame.timestamp_ns, points.feature_id, pixels, self._pairs, points.hops, points.inlier
         )
         return seen, matches
+
+    def _moved(self, dt_s: float) -> FloatArray:
+        """How far (N, 3) the last points went by themselves, in the camera's axes of then."""
+        moved = np.zeros((len(self._left.points), 3))
+        ids, velocity = self._moving
+        if len(ids):
+            order = np.argsort(ids)
+            found = np.isin(self._left.points.feature_id, ids)
+            index = np.searchsorted(ids, self._left.points.feature_id[found], sorter=order)
+            moved[found] = velocity[order[index]] * dt_s
+        return moved
 
     def _match_right(
         self, left: View, right: View, points: CameraPoints

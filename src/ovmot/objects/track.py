@@ -22,7 +22,7 @@ from ovmot.objects.object_filter import (
 _SLIDE = 0.25  # of the size: how far the middle of what is seen lies off the body's middle
 _LEAST_SLIDE_M = 0.2
 _MOVING_MPS = 0.5  # slower, the velocity has no direction
-_MANY_FEATURES = 8  # that move together are no chance: two measurements are enough
+_MANY_FEATURES = 5  # that move together are no chance: two measurements are enough
 _GROWTH = 0.5  # share of the way to a greater size that a measurement makes
 _BIGGEST = np.array([20.0, 4.0, 5.0])
 

@@ -8,18 +8,21 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectTrackSettings
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.association import associate, shared_share
-from ovmot.objects.followed import FollowedBody, Sightings
+from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body_of, follow, join
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import YAW_RATE
+from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
+from ovmot.objects.region import inside
 from ovmot.objects.track import Track, TrackState, carried, gap, measured, start_track
-from ovmot.types import ObjectTrack, ScenePoints
+from ovmot.types import ObjectTrack, PointLabel, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
 _SAME_SPEED_MPS = 1.5
+_MIN_FOUND = 2  # features that go as a track should, where it should be, are the track
+_MOVING_MPS = 1.0  # a track's speed from which its points are said to move
 
 
 class ObjectTracker:
@@ -38,43 +41,65 @@ class ObjectTracker:
         measurements: Sequence[ObjectMeasurement],
         seen: ScenePoints,
         T_world_cam0: FloatArray,
-    ) -> tuple[tuple[ObjectTrack, ...], IntArray]:
-        """The tracks of this frame, and the track id (N,) of each of its features, -1 for none."""
+    ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
+        """The tracks of this frame, and its points with their tracks' ids.
+
+        A point that nothing else was known of moves where its track does.
+        """
         settings = self._settings
-        self._sightings.add(timestamp_ns, seen, T_world_cam0)
+        motions = self._sightings.add(timestamp_ns, seen, T_world_cam0)
         # 1 where every track should be now
         tracks = [carried(track, timestamp_ns, settings) for track in self._tracks]
         # 2 which measurement is whose
         pairs = _pairs(tracks, measurements, timestamp_ns)
         taken = {j for _, j in pairs}
         own = dict(pairs)
-        # 3 correct: by the measurement, else by the features that are still followed
+        # 3 correct: by the measurement, else by the features that go as the track should
         for i, track in enumerate(tracks):
             tracks[i] = (
                 measured(track, measurements[own[i]], timestamp_ns, settings)
                 if i in own
-                else self._followed(track, timestamp_ns)
+                else _followed(track, motions, timestamp_ns)
             )
         # 4 new ones
         for j, measurement in enumerate(measurements):
             if j not in taken:
                 tracks.append(start_track(self._next_id, timestamp_ns, measurement))
                 self._next_id += 1
-        # 5 two tracks on one body, and those that are gone
+        # 5 features that joined, two tracks on one body, and those that are gone
         alive = [track for track in tracks if _lives(track, timestamp_ns, settings)]
+        alive = [_joined(track, motions) for track in alive]
         self._tracks = _merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
-        shown = tuple(_as_result(t, seen, owner, T_world_cam0, self._rig) for t in self._tracks)
-        return shown, owner
+        shown = tuple(
+            _as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
+            for t in self._tracks
+        )
+        return shown, _labelled(seen, owner, self._tracks)
 
-    def _followed(self, track: Track, now_ns: int) -> Track:
-        """The track by its features, without a measurement; coasting where they are lost."""
-        body = self._sightings.follow(track.feature_id, track.velocity)
-        if body is None or track.state == TrackState.TENTATIVE:
-            return _unseen(track)
+    def expected(self, seen: ScenePoints) -> tuple[IntArray, FloatArray]:
+        """Features of this frame (N,) that should go on with a track, and its velocity (N, 3)."""
+        velocity = np.full((len(seen.feature_id), 3), np.nan)
+        motions = self._sightings.last
+        for track in self._tracks:
+            near = np.isin(motions.feature_id, track.feature_id)
+            near |= inside(track, motions.p_world, motions.position_cov) & ~motions.known
+            velocity[near] = track.velocity
+        known = np.isfinite(velocity[:, 0])
+        return seen.feature_id[known], velocity[known]
+
+
+def _followed(track: Track, motions: FeatureMotions, now_ns: int) -> Track:
+    """The track by its features, without a measurement; coasting where they are lost."""
+    if track.state == TrackState.TENTATIVE:
+        return _unseen(track)
+    own = np.isin(motions.feature_id, track.feature_id)
+    for body in (follow(motions, own, track.velocity), _found_again(track, motions)):
+        if body is None:
+            continue
         observation = observe(body.position - track.offset, body.velocity, _loose(body, track))
         if distance(track.filter, observation) > _FOLLOWED_GATE:
-            return _unseen(track)
+            continue
         corrected = update(track.filter, observation)
         return replace(
             track,
@@ -84,6 +109,27 @@ class ObjectTracker:
             feature_id=np.setdiff1d(track.feature_id, body.strayed),
             updated_ns=now_ns,
         )
+    return _unseen(track)
+
+
+def _found_again(track: Track, motions: FeatureMotions) -> FollowedBody | None:
+    """The body by any features where it should be that go as it should; None with less than two."""
+    joins = _joining(track, motions)
+    return body_of(motions, joins) if joins.sum() >= _MIN_FOUND else None
+
+
+def _joined(track: Track, motions: FeatureMotions) -> Track:
+    """The track with the features in its box that go as it goes."""
+    if track.state != TrackState.CONFIRMED:
+        return track
+    ids = motions.feature_id[_joining(track, motions)]
+    return replace(track, feature_id=np.union1d(track.feature_id, ids))
+
+
+def _joining(track: Track, motions: FeatureMotions) -> BoolArray:
+    """Features (N,) in a track's box that go as it goes and do not rest."""
+    near = inside(track, motions.p_world, motions.position_cov)
+    return join(motions, near, track.velocity, track.filter.best.covariance[VELOCITY, VELOCITY])
 
 
 def _unseen(track: Track) -> Track:
@@ -162,15 +208,33 @@ def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
     return owner
 
 
+def _labelled(seen: ScenePoints, owner: IntArray, tracks: Sequence[Track]) -> ScenePoints:
+    """The points with their tracks; unknown ones of moving confirmed tracks are dynamic."""
+    moving = [
+        track.track_id
+        for track in tracks
+        if track.state == TrackState.CONFIRMED and np.linalg.norm(track.velocity) > _MOVING_MPS
+    ]
+    joins = (seen.label == int(PointLabel.UNKNOWN)) & np.isin(owner, moving)
+    label = np.where(joins, int(PointLabel.DYNAMIC), seen.label)
+    return replace(seen, track_id=owner, label=label)
+
+
 def _as_result(
-    track: Track, seen: ScenePoints, owner: IntArray, T_world_cam0: FloatArray, rig: StereoRig
+    track: Track,
+    now_ns: int,
+    seen: ScenePoints,
+    owner: IntArray,
+    T_world_cam0: FloatArray,
+    rig: StereoRig,
+    settings: ObjectTrackSettings,
 ) -> ObjectTrack:
     best = track.filter.best
     sigma = np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     own = owner == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
-        state=track.state.value,
+        state=_shown_state(track, now_ns, settings).value,
         position=track.position,
         velocity=track.velocity,
         yaw=track.yaw,
@@ -181,6 +245,14 @@ def _as_result(
         std_position=sigma[:3],
         std_velocity=sigma[3:6],
     )
+
+
+def _shown_state(track: Track, now_ns: int, settings: ObjectTrackSettings) -> TrackState:
+    """A confirmed track that was missed for a frame or two is not yet called coasting."""
+    missed_s = 1e-9 * (now_ns - track.updated_ns)
+    if track.state == TrackState.COASTING and missed_s <= settings.missed_s:
+        return TrackState.CONFIRMED
+    return track.state
 
 
 def _box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
