@@ -43,7 +43,7 @@ class TrackerSettings(Section):
     """Front end: corners, optical flow, stereo matching."""
 
     max_features: int = Field(250, ge=20, le=5000)
-    """Features kept alive in the left image."""
+    """Features kept alive in the left image, in both where each camera is by itself."""
     min_distance_px: float = Field(12.0, ge=2.0)
     """New corners keep this distance from each other and from tracked features."""
     fast_threshold: int = Field(15, ge=1, le=255)
@@ -64,10 +64,10 @@ class TrackerSettings(Section):
     """Distance that these keep from each other."""
     focus_width_m: float = Field(3.0, gt=0.0)
     """Width of the surroundings of a moving point in which they are sought."""
-    cameras: Literal["stereo", "left"] = "stereo"
-    """Match both cameras, or use the left one alone; nothing can be found to move then."""
+    cameras: Literal["stereo", "left", "each"] = "stereo"
+    """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
-    """Epipolar distance that the robust test between consecutive left images tolerates."""
+    """Epipolar distance that the robust test between consecutive images tolerates."""
 
 
 class EpipolarSettings(Section):

@@ -10,7 +10,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
-from ovmot.frontend.tracker import StereoTracker
+from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
@@ -142,7 +142,7 @@ class Pipeline:
         self._rig = rig
         self._settings = settings
         self._start = start
-        self._frontend: FrontEnd = frontend or StereoTracker(
+        self._frontend: FrontEnd = frontend or FRONT_ENDS[settings.tracker.cameras](
             rig, settings.tracker, settings.epipolar
         )
         self._objects: ObjectTracker | None = None

@@ -62,6 +62,12 @@ def gate_matches(
     return StereoMatches(feature_id, pixels, distance, accepted, lines)
 
 
+def no_matches() -> StereoMatches:
+    """Nothing was matched."""
+    ids, nothing = np.empty(0, dtype=np.int64), np.empty((0, 4))
+    return StereoMatches(ids, nothing, nothing[:, 0], ids > 0, nothing[:, :3])
+
+
 def without_refused(values: FloatArray, matches: StereoMatches) -> FloatArray:
     """Pixels or plane coordinates (N, 4) with the right half NaN where the match was refused."""
     out = values.copy()

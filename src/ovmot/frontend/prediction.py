@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -11,12 +12,12 @@ _NEAREST = 5
 _MAX_EXTRA_FLOW_PX = 80.0
 
 
-def predict_left(
-    xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, rig: StereoRig
+def predict_pixels(
+    xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, camera: Camera
 ) -> tuple[FloatArray, FloatArray]:
-    """Left pixels (N, 2) now of points at rest, and their depth (N,), NaN where unknown.
+    """Pixels (N, 2) now of points at rest, and their depth (N,), NaN where unknown.
 
-    `p_before` (N, 3): positions in the earlier left camera; a point without one is taken as
+    `p_before` (N, 3): positions in the camera's frame of before; a point without one is taken as
     infinitely far, so that it moves by the rotation alone. NaN for pixels outside the lens model.
     """
     ray = np.concatenate([xy_before, np.ones((len(xy_before), 1))], axis=1)
@@ -24,7 +25,7 @@ def predict_left(
     near = se3.apply(T_now_before, p_before)
     usable = np.isfinite(near[:, 2]) & (near[:, 2] > 0.2)
     point = np.where(usable[:, None], near, far)
-    return rig.cam0.project(point), np.where(usable, near[:, 2], np.nan)
+    return camera.project(point), np.where(usable, near[:, 2], np.nan)
 
 
 def unexplained_flow(found: FloatArray, at_rest: FloatArray, explained: BoolArray) -> FloatArray:

@@ -18,7 +18,7 @@ from ovmot.msckf.state import State, drop_landmarks
 from ovmot.msckf.update import compress, ekf_update
 from ovmot.tracks import TrackTable, mark_used
 
-_MIN_VIEWS = 3  # left observations from different clones
+_MIN_VIEWS = 3  # observations from different clones, a stereo pair counted once
 _MAX_REFUSED = 3  # updates in a row after which a landmark is not believed any more
 
 
@@ -30,8 +30,7 @@ def own_rows(table: TrackTable, state: State) -> BoolArray:
 
 def usable_observations(table: TrackTable, state: State) -> BoolArray:
     """Observations (T, F) that an update may take: unused, of features that are not barred."""
-    seen = np.isfinite(table.pixels[..., 0])
-    return seen & ~table.used & ~table.barred & own_rows(table, state)[:, None]
+    return table.seen & ~table.used & ~table.barred & own_rows(table, state)[:, None]
 
 
 def correct_with_features(

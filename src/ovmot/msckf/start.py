@@ -15,7 +15,7 @@ from ovmot.msckf.start_at_rest import StartPrior, rest_failure, start_at_rest
 from ovmot.msckf.start_in_motion import CannotStart, start_in_motion
 from ovmot.msckf.state import State
 from ovmot.msckf.stillness import still_share
-from ovmot.types import FrontendFrame, ImuData, ImuNoise
+from ovmot.types import FrontendFrame, ImuData, ImuNoise, followed_pixels
 
 _MIN_REST_FRAMES = 3
 _OFFSET_SIGMAS = 4.0
@@ -102,11 +102,12 @@ class FilterStart:
 
 
 def _share(frames: Sequence[FrontendFrame], pixel: float) -> float:
-    """Share of the features of both ends of the window that stand still in the left image."""
+    """Share of the features of both ends of the window that stand still in their image."""
     first, last = frames[0], frames[-1]
     _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
     everything = np.ones(len(a), dtype=np.bool_)
-    return still_share(last.pixels[b, :2], first.pixels[a, :2], everything, pixel)
+    now, then = followed_pixels(last.pixels[b]), followed_pixels(first.pixels[a])
+    return still_share(now, then, everything, pixel)
 
 
 def _at_time(state: State, timestamp_ns: int) -> State:
