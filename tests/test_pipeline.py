@@ -317,8 +317,7 @@ def spy(monkeypatch: pytest.MonkeyPatch) -> UpdateSpy:
         monkeypatch.setattr(correction, name, update)
 
     for name, position in (
-        ("update_with_tracks", 2),
-        ("add_with_tracks", 4),
+        ("update_with_tracks", 3),
         ("update_landmarks", 3),
     ):
         watch(name, position)
