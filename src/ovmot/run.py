@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +46,8 @@ class RunOptions:
 class _Source:
     """What a run reads and how it starts, whatever it comes from.
 
-    `frontend` makes the front end, None the stereo tracker; `imu_noise` is for `run.json`.
+    `frontend` makes the front end, None the stereo tracker; `imu_noise` is for `run.json`;
+    `frame_number` is that of each stamp (ns).
     """
 
     name: str
@@ -56,6 +57,7 @@ class _Source:
     frontend: FrontEnd | None
     imu_noise: ImuNoise | None
     identity: InputIdentity
+    frame_number: Mapping[int, int]
     counts: Counter[str]
     warnings: Counter[str]
 
@@ -82,6 +84,9 @@ def run_sequence(
         frontend=None,
         imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
         identity=_identity(sequence),
+        frame_number=dict(
+            zip(sequence.frame_ns.tolist(), sequence.frame_number.tolist(), strict=True)
+        ),
         counts=Counter(sequence.counts),
         warnings=Counter(sequence.warnings),
     )
@@ -121,6 +126,7 @@ def run_features(
             first_timestamp_ns=int(simulation.camera_ns[0]),
             last_timestamp_ns=int(simulation.camera_ns[-1]),
         ),
+        frame_number={int(t): i for i, t in enumerate(simulation.camera_ns)},
         counts=Counter(seed=recording.seed),
         warnings=Counter(),
     )
@@ -138,6 +144,7 @@ def _run(
     writer = open_outputs(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
+        frame_number=source.frame_number if settings.objects.enabled else None,
     )  # fmt: skip
     try:
         with writer, closing(source.stream):

@@ -52,6 +52,36 @@ class FeatureSystem:
     n_rows: IntArray
 
 
+@dataclass(frozen=True, slots=True)
+class PointRows:
+    """What determines F points: R δp + H x = residual, with white noise of variance 1.
+
+    `R` (F, 3, 3), upper triangular, `H` (F, 3, C + 6K), `residual` (F, 3).
+    """
+
+    R: FloatArray
+    H: FloatArray
+    residual: FloatArray
+
+    def rows(self, kept: BoolArray) -> "PointRows":
+        """Those of some points."""
+        return PointRows(self.R[kept], self.H[kept], self.residual[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class SeparatedSystem:
+    """Measurements of F features: rows that determine the points, and rows without them.
+
+    `H` (F, M - 3, C + 6K) and `residual` (F, M - 3) do not depend on the points; their noise is
+    independent of that of `points`. `dof` (F,): how many of these rows are real.
+    """
+
+    points: PointRows
+    H: FloatArray
+    residual: FloatArray
+    dof: IntArray
+
+
 def triangulate_features(
     state: State,
     rig: StereoRig,
@@ -143,16 +173,16 @@ def linearize(
     )
 
 
-def project_nullspace(system: FeatureSystem) -> tuple[FloatArray, FloatArray]:
-    """H and residual without the point: (F, M - 3, C + 6K) and (F, M - 3).
+def separate_points(system: FeatureSystem) -> SeparatedSystem:
+    """The same measurements turned so that only the first three rows of each depend on the point.
 
-    Three reflections, on all features at once, bring H_point to triangular form; the rows below no
-    longer depend on the point.
+    Three reflections, on all features at once, bring H_point to triangular form.
     """
     A = triangularize(
         np.concatenate([system.H_point, system.H, system.residual[..., None]], axis=2), 3
     )
-    return A[:, 3:, 3:-1], A[:, 3:, -1]
+    point = PointRows(A[:, :3, :3], A[:, :3, 3:-1], A[:, :3, -1])
+    return SeparatedSystem(point, A[:, 3:, 3:-1], A[:, 3:, -1], system.n_rows - 3)
 
 
 def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
@@ -179,7 +209,8 @@ def chi2_gate(
 
     `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies.
     """
-    S = H @ P @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
+    HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)  # one product, not one a feature
+    S = HP @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
     distance = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
     bounds = np.array([chi2_bound(max(int(d), 1)) for d in dof])
     passed: BoolArray = (distance < multiplier * bounds) & (dof > 0)
