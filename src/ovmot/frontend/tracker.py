@@ -13,6 +13,7 @@ from ovmot.frontend.corners import choose_corners, fast_corners
 from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.flow import follow
 from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
+from ovmot.frontend.patches import Patches, align, cut_patches, followed, smoothed
 from ovmot.frontend.prediction import fill_depths, predict_left, predict_right, unexplained_flow
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
@@ -44,10 +45,11 @@ class _LeftPoints:
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """The last frame: its equalised left image, its points, and their stereo pairs (N, 4)."""
+    """The last frame: its equalised left image, its points, their stereo pairs (N, 4), patches."""
 
     left: Image
     points: _LeftPoints
+    patches: Patches
     normalized: FloatArray
 
 
@@ -94,32 +96,38 @@ class StereoTracker:
             raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
         equalize = EQUALIZERS[self._settings.equalization]
         left, right = self._workers.map(equalize, (frame.left, frame.right))
-        points = self._follow_left(left, T_now_before, frame.left_mask)
+        smooth, smooth_right = self._workers.map(smoothed, (left, right))
+        points, patches = self._follow_left(left, smooth, T_now_before, frame.left_mask)
+        n_followed = len(points.uv)
         points = self._add_corners(left, points, frame.left_mask)
-        pixels, normalized, matches = self._match_right(left, right, points, frame.right_mask)
-        self._memory = _Memory(left, points, normalized)
+        patches = patches.joined(cut_patches(smooth, points.uv[n_followed:]))
+        pixels, normalized, matches = self._match_right(
+            left, (right, smooth_right), points, patches, frame.right_mask
+        )
+        self._memory = _Memory(left, points, patches, normalized)
         seen = FrontendFrame(
             frame.timestamp_ns, points.feature_id, pixels, normalized, points.hops, points.inlier
         )
         return seen, matches
 
     def _follow_left(
-        self, left: Image, T_now_before: FloatArray, mask: Image | None
-    ) -> _LeftPoints:
-        """The last frame's features in this left image; those lost are gone."""
+        self, left: Image, smooth: Image, T_now_before: FloatArray, mask: Image | None
+    ) -> tuple[_LeftPoints, Patches]:
+        """The last frame's features in this left image, and their patches; those lost are gone."""
         if self._memory is None:
-            return _no_points()
+            return _no_points(), cut_patches(smooth, np.empty((0, 2)))
         old, before = self._memory.points, self._memory.normalized
         p_before = triangulate_stereo(before, self._rig.T_cam1_cam0)
         at_rest, depth = predict_left(old.xy, p_before, T_now_before, self._rig)
         start = at_rest + old.extra_flow
         uv, ok = follow(self._memory.left, left, old.uv, start, self._settings, self._workers)
+        uv, patches = followed(self._memory.patches, smooth, uv)
         xy = self._rig.cam0.normalize(uv)
         ok &= self._rig.cam0.inside(uv, _BORDER_PX) & np.isfinite(xy[:, 0])
         ok &= ~_is_masked(uv, mask)
         threshold = self._settings.two_view_threshold_px / self._rig.cam0.fx
         inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
-        return _LeftPoints(
+        points = _LeftPoints(
             feature_id=old.feature_id[ok],
             uv=uv[ok],
             xy=xy[ok],
@@ -128,6 +136,7 @@ class StereoTracker:
             extra_flow=unexplained_flow(uv[ok], at_rest[ok], inlier),
             inlier=inlier,
         )
+        return points, patches.rows(ok)
 
     def _add_corners(self, left: Image, points: _LeftPoints, mask: Image | None) -> _LeftPoints:
         """The points and as many new corners as there is room for."""
@@ -170,13 +179,19 @@ class StereoTracker:
         return np.concatenate([taken, new])[len(existing) :]
 
     def _match_right(
-        self, left: Image, right: Image, points: _LeftPoints, mask: Image | None
-    ) -> tuple[FloatArray, FloatArray, StereoMatches]:
-        """Pixels and plane coordinates (N, 4), accepted right halves only, and all tested pairs."""
+        self, left: Image, right: tuple[Image, Image], points: _LeftPoints, patches: Patches,
+        mask: Image | None,
+    ) -> tuple[FloatArray, FloatArray, StereoMatches]:  # fmt: skip
+        """Pixels and plane coordinates (N, 4), accepted right halves only, and all tested pairs.
+
+        `right`: the image, and the same smoothed.
+        """
         default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
-        uv, ok = follow(left, right, points.uv, start, self._settings, self._workers)
+        uv, ok = follow(left, right[0], points.uv, start, self._settings, self._workers)
+        refined, _, fits = align(patches, right[1], uv, patches.warp)
+        uv = np.where(fits[:, None], refined, uv)
         ok &= self._rig.cam1.inside(uv, _BORDER_PX) & ~_is_masked(uv, mask)
         if self._settings.cameras == "left":
             ok[:] = False
