@@ -33,34 +33,54 @@ def velocity_distance(
     return float(asked @ asked)
 
 
-def agreeing(
+def shares(
     state: State, H: FloatArray, residual: FloatArray, columns: IntArray, passed: BoolArray
-) -> BoolArray:
-    """Which of the features that passed their gates (F,) an update may take together.
+) -> FloatArray:
+    """By how much (F,) each feature's rows are to be scaled in an update of all together, 0 to 1.
 
-    `H` (F, M, k) and `residual` (F, M) whitened, rows of zeros where nothing was seen. All of them
-    where their common motion agrees with the prediction; else the half that is nearest to the
-    prediction, each by itself, is asked, and so on; none where no subset is left.
+    `H` (F, M, k) and `residual` (F, M) whitened, rows of zeros where nothing was seen; `passed`
+    (F,) their own gates. Beyond its expected size a feature's innovation counts linearly only
+    (P. Huber, 1964). Where their common motion does not agree with the prediction, the half that
+    is nearest to the prediction, each by itself, is asked, and so on; the others have no share.
     """
+    out = np.zeros(len(passed))
     kept = np.flatnonzero(passed)
     if not len(kept):
-        return passed
-    P = state.covariance[np.ix_(columns, columns)]
-    S = H[kept] @ P @ np.swapaxes(H[kept], 1, 2) + np.eye(H.shape[1])
-    r = residual[kept]
-    own = (r * np.linalg.solve(S, r[..., None])[..., 0]).sum(1)
-    own /= (np.abs(H[kept]).max(axis=2) > 0.0).sum(1)
-    kept = kept[np.argsort(own, kind="stable")]
-    bound = _SLACK * chi2_bound(3, _CERTAIN)
-    while len(kept) >= min(_MIN_FEATURES, passed.sum()):
-        rows = H[kept].reshape(-1, H.shape[2])
-        real = np.abs(rows).max(axis=1) > 0.0
-        system = compress(rows[real], residual[kept].ravel()[real])
-        if velocity_distance(state, *system, columns) < bound:
-            break
+        return out
+    size = _innovation_size(state, H[kept], residual[kept], columns)
+    out[kept] = 1.0 / np.sqrt(np.maximum(size, 1.0))
+    kept = kept[np.argsort(size, kind="stable")]
+    least = min(_MIN_FEATURES, len(kept))
+    while len(kept) >= least and not _agree(state, H[kept], residual[kept], columns, out[kept]):
         kept = kept[: len(kept) // 2]
-    else:
-        kept = kept[:0]
-    out = np.zeros_like(passed)
-    out[kept] = True
+    out[np.setdiff1d(np.arange(len(out)), kept if len(kept) >= least else [])] = 0.0
     return out
+
+
+def scaled(
+    H: FloatArray, residual: FloatArray, share: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The rows (m, k) and (m,) of all features with a share, scaled by it; rows of zeros go."""
+    taken = share > 0.0
+    rows = (H[taken] * share[taken, None, None]).reshape(-1, H.shape[2])
+    real = np.abs(rows).max(axis=1, initial=0.0) > 0.0
+    return rows[real], (residual[taken] * share[taken, None]).ravel()[real]
+
+
+def _innovation_size(
+    state: State, H: FloatArray, residual: FloatArray, columns: IntArray
+) -> FloatArray:
+    """Each feature's (F,) innovation in sigmas, over all its rows: 1 where it is as expected."""
+    P = state.covariance[np.ix_(columns, columns)]
+    S = H @ P @ np.swapaxes(H, 1, 2) + np.eye(H.shape[1])
+    distance = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(1)
+    n_rows = (np.abs(H).max(axis=2) > 0.0).sum(1)
+    size: FloatArray = np.sqrt(distance / n_rows)
+    return size
+
+
+def _agree(
+    state: State, H: FloatArray, residual: FloatArray, columns: IntArray, share: FloatArray
+) -> bool:
+    system = compress(*scaled(H, residual, share))
+    return velocity_distance(state, *system, columns) < _SLACK * chi2_bound(3, _CERTAIN)

@@ -5,7 +5,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import FilterSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.msckf.agreement import agreeing
+from ovmot.msckf.agreement import scaled, shares
 from ovmot.msckf.calibration import calibrated_rig
 from ovmot.msckf.features import (
     FeatureSystem,
@@ -86,12 +86,10 @@ def update_with_tracks(
     columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
     P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
     passed = chi2_gate(P, H, residual, system.n_rows - 3, settings.chi2_multiplier)
-    passed = agreeing(state, H, residual, columns, passed)
-    if not passed.any():
+    share = shares(state, H, residual, columns, passed)
+    if not share.any():
         return state
-    H, residual = H[passed].reshape(-1, H.shape[2]), residual[passed].ravel()
-    real = np.abs(H).max(axis=1) > 0.0
-    H, residual = compress(H[real], residual[real])
+    H, residual = compress(*scaled(H, residual, share))
     return ekf_update(state, H, columns, residual, np.ones(len(residual)))
 
 
