@@ -458,7 +458,7 @@ def test_the_imu_does_not_pile_up_before_a_start(
     assert len(pipeline._imu) < 200 * (1.44 + 0.5 + 1.0 + 2.5)
 
 
-def test_where_most_seems_to_move_nothing_is_barred_for_good(
+def test_where_the_prediction_is_unsure_nothing_is_barred_for_good(
     painted_rig: StereoRig,
     drive: tuple[list[StereoFrame], list[ImuSample]],
     monkeypatch: pytest.MonkeyPatch,
@@ -467,13 +467,13 @@ def test_where_most_seems_to_move_nothing_is_barred_for_good(
     def panic(*arguments: object) -> Split:
         split = split_points(*arguments)  # type: ignore[arg-type]
         label = np.full_like(split.points.label, int(PointLabel.DYNAMIC))
-        return Split(replace(split.points, label=label), ~(label == 0), plausible=False)
+        return Split(replace(split.points, label=label), ~(label == 0), trusted=False)
 
     monkeypatch.setattr(pipeline_module, "split_points", panic)
     pipeline = with_filter(painted_rig)
     results = run(pipeline, merged(*drive))
     assert len(results) > 5
-    assert pipeline.counts["frames_mostly_moving"] >= len(results)
+    assert pipeline.counts["frames_split_unsure"] >= len(results)
     assert not pipeline._table.barred.any()
     assert pipeline._table.suspect.any()
 

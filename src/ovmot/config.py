@@ -90,7 +90,7 @@ class FilterSettings(Section):
     """Faster frames are followed, but their clones leave so that the window spans more time."""
     integration: Literal["discrete", "rk4", "analytic"] = "rk4"
     """IMU integration: one step of mean rates, Runge-Kutta of 4th order, or in closed form."""
-    pixel_sigma: float = Field(1.5, gt=0.0)
+    pixel_sigma: float = Field(0.7, gt=0.0)
     """Standard deviation of a feature's position in the image, pixels, slid patches included."""
     chi2_multiplier: float = Field(1.0, gt=0.0)
     """Factor on the 95 % chi-squared bound of a feature's innovation."""
@@ -98,7 +98,7 @@ class FilterSettings(Section):
     """Features used in one update; those seen longest come first."""
     max_landmarks: int = Field(25, ge=0, le=500)
     """Features kept in the state as landmarks, those that outlive the window; 0 for none."""
-    landmark_pixel_sigma: float = Field(4.0, gt=0.0)
+    landmark_pixel_sigma: float = Field(1.5, gt=0.0)
     """The same of a landmark, pixels: a patch that slid stays so, its errors do not average out."""
     landmark_representation: Literal[
         "global_xyz", "global_inverse_depth", "anchored_xyz", "anchored_inverse_depth",

@@ -2,7 +2,6 @@
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -163,7 +162,7 @@ class Pipeline:
         self.not_started_because = "no frame was seen"
         self.dropped = 0
         self.counts: Counter[str] = Counter(
-            resets=0, frames_mostly_moving=0, frames_degraded=0, frames_lost=0
+            resets=0, frames_split_unsure=0, frames_degraded=0, frames_lost=0
         )
 
     def feed(self, event: Event) -> list[FrameResult]:
@@ -273,11 +272,11 @@ class Pipeline:
         rig = ego.calibrated_rig()
         split = split_points(table, seen, ego.window(), rig, self._settings.split)
         points = split.points
-        if split.plausible:
+        if split.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)
             table = bar_features(table, points.feature_id[dynamic])
         else:
-            self.counts["frames_mostly_moving"] += 1
+            self.counts["frames_split_unsure"] += 1
         return mark_suspects(table, points.feature_id, split.suspect), split
 
     def _before(self, frame: StereoFrame | FeatureFrame, watch: Stopwatch) -> FrameResult | None:

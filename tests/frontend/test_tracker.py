@@ -142,7 +142,7 @@ def test_two_runs_are_equal_bit_for_bit(
 
 def test_a_large_motion_needs_the_prediction(painted_rig: StereoRig, painted_pair: Pair) -> None:
     """40 to 64 px between two frames: found with the predicted motion, lost without."""
-    settings = TRACKER.model_copy(update={"klt_levels": 2})
+    settings = TRACKER.model_copy(update={"klt_near_levels": 1, "klt_levels": 1})
     share = {}
     for told in (0.0, 1.6):
         with tracker_of(painted_rig, settings) as tracker:
@@ -274,10 +274,10 @@ def test_wrong_matches_of_any_kind_are_refused(
         source: object, target: object, points: FloatArray, start: FloatArray,
         settings: TrackerSettings, workers: ThreadPoolExecutor,
     ) -> object:  # fmt: skip
-        uv, ok = follow(source, target, points, start, settings, workers)  # type: ignore[arg-type]
+        flow = follow(source, target, points, start, settings, workers)  # type: ignore[arg-type]
         if any(np.array_equal(target, frame.right) for frame in frames):  # type: ignore[arg-type]
-            uv[::5, 1] += 9.0
-        return uv, ok
+            flow.uv[::5, 1] += 9.0
+        return flow
 
     monkeypatch.setattr(tracker_module, "follow", lying)
     with tracker_of(painted_rig) as tracker:

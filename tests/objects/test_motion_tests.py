@@ -84,8 +84,8 @@ def test_the_false_alarm_rate_is_the_one_set(evidence_of: Measured) -> None:
         told = SETTINGS.model_copy(update={"false_alarm": rate, "forgiven_speed_mps": 0.0})
         verdict = covariance_test(evidence, told)
         assert verdict.tested.all()
-        assert verdict.unclear.mean() == pytest.approx(rate, rel=0.25)
-        assert not verdict.moving.any()
+        assert (verdict.unclear | verdict.moving).mean() == pytest.approx(rate, rel=0.25)
+        assert verdict.moving.mean() < rate / 10.0  # chance seldom gives company that goes alike
 
 
 def test_points_at_rest_are_kept(evidence_of: Measured) -> None:
@@ -171,8 +171,16 @@ def test_points_without_a_comparison_are_not_tested(evidence_of: Measured) -> No
     evidence = evidence_of(car(0.0, 10.0), np.array([3.0, 0.0, 0.0]), wrong=blind)
     verdict = covariance_test(evidence, SETTINGS)
     assert verdict.tested.tolist() == [False] + [True] * 5
-    assert not verdict.moving[:2].any()  # one comparison says no velocity
-    assert verdict.moving[2:].all()
+    assert verdict.moving[1:].all()
+
+
+def test_one_comparison_needs_company(evidence_of: Measured) -> None:
+    """Seen but once before, two points alike may be wrong matches; three are a body."""
+    for n, moves in ((2, False), (3, True)):
+        evidence = evidence_of(car(0.0, 10.0, n), np.array([3.0, 0.0, 0.0]), rows=(15,))
+        verdict = covariance_test(evidence, SETTINGS)
+        assert (verdict.moving == moves).all()
+        assert (verdict.unclear == (not moves)).all()
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from ovmot.config import TrackerSettings
 from ovmot.frontend.corners import choose_corners, fast_corners
 from ovmot.frontend.flow import follow, follow_lost
 from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
+from ovmot.frontend.patches import cut_patches, followed, no_patches
 from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
@@ -21,9 +22,11 @@ _UNLIMITED = 100_000
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What one camera sees: its equalised image, its mask if any, and its present calibration."""
+    """What one camera sees: its equalised image, the same `smooth` for the alignment of patches,
+    its mask if any, and its present calibration."""
 
     image: Image
+    smooth: Image
     mask: Image | None
     camera: Camera
 
@@ -75,6 +78,7 @@ class PointFollower:
         self._image: Image | None = None
         self._focus = (np.empty((0, 2)), np.empty(0))
         self.points = no_points()
+        self.patches = no_patches()
 
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """From now on, look closer around these pixels (N, 2), within radii (N,)."""
@@ -91,6 +95,8 @@ class PointFollower:
         """
         points = self._followed(view, p_before, p_moved, T_now_before)
         self.points = self._with_corners(view, points)
+        new = cut_patches(view.smooth, self.points.uv[len(points) :])
+        self.patches = self.patches.joined(new)
         self._image = view.image
         return self.points
 
@@ -110,10 +116,12 @@ class PointFollower:
         nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)
         again = np.stack([nearby, at_rest])
         flow = follow_lost(*pictures, flow, again, self._settings, self._workers)
-        uv, xy = flow.uv, camera.normalize(flow.uv)
+        uv, patches = followed(self.patches, view.smooth, flow.uv)
+        xy = camera.normalize(uv)
         ok = flow.found & view.shows(uv) & np.isfinite(xy[:, 0])
         threshold = self._settings.two_view_threshold_px / camera.fx
         inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
+        self.patches = patches.rows(ok)
         return CameraPoints(
             feature_id=old.feature_id[ok],
             uv=uv[ok],

@@ -10,6 +10,7 @@ from ovmot.errors import OvmotError
 from ovmot.frontend.contrast import EQUALIZERS
 from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.flow import follow, follow_lost
+from ovmot.frontend.patches import align, smoothed
 from ovmot.frontend.points import CameraPoints, FeatureIds, PointFollower, View
 from ovmot.frontend.prediction import fill_depths, predict_right
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -95,7 +96,9 @@ class StereoTracker:
         pictures = left.image, right.image, points.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         flow = follow_lost(*pictures, flow, start[None], self._settings, self._workers)
-        uv, ok = flow.uv, flow.found & right.shows(flow.uv)
+        refined, _, fits = align(self._left.patches, right.smooth, flow.uv, self._left.patches.warp)
+        uv = np.where(fits[:, None], refined, flow.uv)
+        ok = flow.found & right.shows(uv)
         pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
         xy = right.camera.normalize(pixels[:, 2:])
         normalized = np.concatenate([points.xy, xy], axis=1)
@@ -117,4 +120,8 @@ def views(
     if isinstance(frame, FeatureFrame):
         raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
     left, right = workers.map(EQUALIZERS[settings.equalization], (frame.left, frame.right))
-    return View(left, frame.left_mask, rig.cam0), View(right, frame.right_mask, rig.cam1)
+    smooth_left, smooth_right = workers.map(smoothed, (left, right))
+    return (
+        View(left, smooth_left, frame.left_mask, rig.cam0),
+        View(right, smooth_right, frame.right_mask, rig.cam1),
+    )

@@ -5,6 +5,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import FilterSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.msckf.agreement import scaled, shares
 from ovmot.msckf.calibration import calibrated_rig
 from ovmot.msckf.features import (
     FeatureSystem,
@@ -93,16 +94,15 @@ def update_with_tracks(
     columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
     P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
     passed = chi2_gate(P, free.H, free.residual, free.dof, settings.chi2_multiplier)
-    if not passed.any():
+    share = shares(state, free.H, free.residual, columns, passed)
+    if not share.any():
         return state
     landmark_id = landmark_id[found]
-    joining = passed & (landmark_id != NOT_KEPT)
+    joining = (share > 0.0) & (landmark_id != NOT_KEPT)
     state = add_landmarks(
         state, free.points.rows(joining), landmark_id[joining], p_world[joining], T_imu_anchor
     )
-    H, residual = free.H[passed].reshape(-1, free.H.shape[2]), free.residual[passed].ravel()
-    real = np.abs(H).max(axis=1) > 0.0
-    H, residual = compress(H[real], residual[real])
+    H, residual = compress(*scaled(free.H, free.residual, share))
     return ekf_update(state, H, columns, residual, np.ones(len(residual)))
 
 

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.msckf.agreement import scaled, shares
 from ovmot.msckf.features import PointRows, chi2_gate, reproject, triangularize
 from ovmot.msckf.landmarks import NO_ANCHOR, Landmarks
 from ovmot.msckf.state import CLONE_SIZE, Clones, State
@@ -107,9 +108,10 @@ def update_landmarks(
     refused = np.where(seen & ~passed, state.landmarks.refused + 1, state.landmarks.refused)
     refused = np.where(passed, 0, refused)
     state = replace(state, landmarks=replace(state.landmarks, refused=refused))
-    H, residual = H[passed].reshape(-1, H.shape[2]), residual[passed].ravel()
-    real = np.abs(H).max(axis=1, initial=0.0) > 0.0
-    H, residual = H[real], residual[real]
+    share = shares(state, H, residual, columns, passed)
+    if not share.any():
+        return state
+    H, residual = scaled(H, residual, share)
     return ekf_update(state, H, columns, residual, np.ones(len(residual)))
 
 

@@ -66,8 +66,9 @@ def covariance_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
 
     A point moves when rest is out of the question, a single velocity explains all its earlier
     positions, and a neighbour moves likewise; or when rest is unlikely and two neighbours surely
-    move likewise. One earlier position is explained by any velocity: two neighbours must share it. Where rest is out of the question without that, a wrong match is as likely as a
-    motion: unclear.
+    move likewise. One earlier position is explained by any velocity: it must tell as much as two,
+    and two neighbours must share it. Where rest is out of the question without that, a wrong match
+    is as likely as a motion: unclear.
     """
     rest = examine_rest(evidence.comparison, settings)
     tested = rest.rows > 0
@@ -75,7 +76,8 @@ def covariance_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
     unlikely = tested & (rest.distance > chdtri(4, 1.0 - _WEAK_PROBABILITY))
     steady = rest.explained & (rest.rows >= 2)
     strong, weak = impossible & steady, unlikely & steady
-    fresh = impossible & rest.explained & (rest.rows == 1)
+    certain = rest.distance > chdtri(4, settings.false_alarm**2)
+    fresh = certain & rest.explained & (rest.rows == 1)
     alike = neighbours_with_same_velocity(
         evidence.p_cam0, evidence.cov_cam0, rest.velocity, rest.covariance, weak | fresh
     )

@@ -1,0 +1,159 @@
+"""Affine alignment of patches with what they looked like when first seen.
+
+Frame-to-frame flow adds up its errors, and a window that only shifts does not fit ground that is
+seen at a slant: from one frame to the next, and from left to right, it slides. Each feature
+therefore keeps its first patch, and every match is refined against it under an affine warp (J. Shi
+& C. Tomasi, CVPR 1994) by inverse compositional Gauss-Newton steps (S. Baker & I. Matthews, IJCV
+2004), on all features at once. Patches are compared with their mean taken off and their norm
+divided out.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+
+_Float32 = npt.NDArray[np.float32]
+
+_RADIUS = 6  # pixels: patches are 13 wide
+_MAX_STEPS = 8
+_SMALL_STEP_PX = 0.02
+_MAX_SHIFT_PX = 3.0  # from where the flow had ended
+_MIN_CORRELATION = 0.85
+_DAMPING = 1e-3  # of the mean curvature: texture along one direction only does not run away
+_SCALES = (0.6, 1.7)  # a patch seen larger or smaller than this is taken anew
+_BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
+
+_axis = np.arange(-_RADIUS, _RADIUS + 1, dtype=np.float32)
+_OFFSETS: _Float32 = np.stack(np.meshgrid(_axis, _axis), axis=-1).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """N patches of M pixels: `grey` (N, M) of zero mean and unit norm; `steepest` (N, M, 6), its
+    derivative by a shift (2) and by the warp's four numbers times the radius; `inverse` (N, 6, 6)
+    of the curvature; `warp` (N, 2, 2): an offset x in the patch is now seen at uv + warp x."""
+
+    grey: _Float32
+    steepest: _Float32
+    inverse: _Float32
+    warp: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.grey)
+
+    def rows(self, kept: BoolArray | IntArray) -> "Patches":
+        """Some of them."""
+        return Patches(
+            self.grey[kept], self.steepest[kept], self.inverse[kept], self.warp[kept]
+        )  # fmt: skip
+
+    def joined(self, others: "Patches") -> "Patches":
+        """These, and others after them."""
+        return Patches(
+            np.concatenate([self.grey, others.grey]),
+            np.concatenate([self.steepest, others.steepest]),
+            np.concatenate([self.inverse, others.inverse]),
+            np.concatenate([self.warp, others.warp]),
+        )
+
+
+def smoothed(image: Image) -> Image:
+    """The image as patches are cut from it and aligned with it."""
+    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX))
+
+
+def cut_patches(image: Image, uv: FloatArray) -> Patches:
+    """Patches around pixels (N, 2) of a smoothed image, as they are seen there."""
+    n, side = len(uv), 2 * _RADIUS + 3
+    axis = np.arange(side, dtype=np.float32) - (_RADIUS + 1)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    wide = _sample(image, uv, np.broadcast_to(np.eye(2), (n, 2, 2)), grid).reshape(n, side, side)
+    grey, norm = _normalized(wide[:, 1:-1, 1:-1].reshape(n, len(_OFFSETS)))
+    by_u = 0.5 * (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]).reshape(n, len(_OFFSETS)) / norm
+    by_v = 0.5 * (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]).reshape(n, len(_OFFSETS)) / norm
+    x, y = _OFFSETS[:, 0] / _RADIUS, _OFFSETS[:, 1] / _RADIUS
+    steepest = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y], axis=-1)
+    steepest -= steepest.mean(axis=1, keepdims=True)
+    steepest -= grey[..., None] * (grey[:, None, :] @ steepest)  # what a gain would explain
+    H = np.swapaxes(steepest, 1, 2) @ steepest
+    damping = _DAMPING * np.trace(H, axis1=1, axis2=2) / 6.0 + 1e-9
+    inverse = np.linalg.inv(H + damping[:, None, None] * np.eye(6, dtype=np.float32))
+    warp = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
+    return Patches(grey, steepest, inverse.astype(np.float32), warp)
+
+
+def no_patches() -> Patches:
+    """None yet."""
+    return cut_patches(np.zeros((1, 1), dtype=np.uint8), np.empty((0, 2)))
+
+
+def align(
+    patches: Patches, image: Image, start: FloatArray, start_warp: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Where the patches are in a smoothed image: uv (N, 2), warps (N, 2, 2), and which fit (N,).
+
+    From `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere.
+    """
+    uv, warp = start.copy(), start_warp.copy()
+    going = np.flatnonzero(np.isfinite(start).all(axis=1))
+    correlation = np.zeros(len(uv))
+    for _ in range(_MAX_STEPS):
+        if not len(going):
+            break
+        seen, _ = _normalized(_sample(image, uv[going], warp[going], _OFFSETS))
+        error = seen - patches.grey[going]
+        correlation[going] = 1.0 - 0.5 * (error**2).sum(axis=1)
+        gradient = error[:, None, :] @ patches.steepest[going]
+        step = (gradient @ patches.inverse[going])[:, 0].astype(np.float64)
+        change = np.eye(2) + step[:, 2:].reshape(-1, 2, 2) / _RADIUS
+        warp[going] = warp[going] @ np.linalg.inv(change)
+        shift = (warp[going] @ step[:, :2, None])[..., 0]
+        uv[going] -= shift
+        near = np.linalg.norm(uv[going] - start[going], axis=1) < _MAX_SHIFT_PX
+        going = going[near & (np.abs(step).max(axis=1) > _SMALL_STEP_PX)]
+    shift = np.linalg.norm(uv - start, axis=1)
+    with np.errstate(invalid="ignore"):
+        fits = (shift < _MAX_SHIFT_PX) & (correlation > _MIN_CORRELATION)
+    return uv, warp, fits
+
+
+def followed(
+    patches: Patches, image: Image, start: FloatArray
+) -> tuple[FloatArray, Patches]:  # fmt: skip
+    """Refined pixels (N, 2) in the next smoothed left image, and the patches as seen there.
+
+    Those that do not fit any more, or are seen at another scale, stay where the flow left them or
+    the alignment put them, and are taken anew.
+    """
+    uv, warp, fits = align(patches, image, start, patches.warp)
+    uv = np.where(fits[:, None], uv, start)
+    scale = np.linalg.svd(np.where(fits[:, None, None], warp, np.eye(2)), compute_uv=False)
+    stale = ~fits | (scale.max(axis=1) > _SCALES[1]) | (scale.min(axis=1) < _SCALES[0])
+    out = replace(patches, warp=warp)
+    if stale.any():
+        fresh = cut_patches(image, uv[stale])
+        order = np.argsort(np.r_[np.flatnonzero(~stale), np.flatnonzero(stale)])
+        out = out.rows(~stale).joined(fresh).rows(order)
+    return uv, out
+
+
+def _sample(image: Image, uv: FloatArray, warp: FloatArray, offsets: _Float32) -> _Float32:
+    """Grey levels (N, M) at uv + warp offset; the border is carried on outwards."""
+    if not len(uv):
+        return np.empty((0, len(offsets)), dtype=np.float32)
+    where = uv[:, None].astype(np.float32) + offsets @ np.swapaxes(warp, 1, 2).astype(np.float32)
+    sampled = cv2.remap(
+        image, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(sampled, dtype=np.float32)
+
+
+def _normalized(grey: _Float32) -> tuple[_Float32, _Float32]:
+    """Rows (N, M) without their mean and of unit norm, and that norm (N, 1)."""
+    grey = grey - grey.mean(axis=1, keepdims=True)
+    norm = np.maximum(np.linalg.norm(grey, axis=1, keepdims=True), 1e-3)
+    return grey / norm, norm
