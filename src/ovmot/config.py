@@ -321,7 +321,7 @@ class ObjectTrackSettings(Section):
     """Measurements after which a track is confirmed."""
     confirm_s: float = Field(0.15, ge=0.0)
     """Time that they must span."""
-    missed_s: float = Field(0.25, ge=0.0)
+    missed_s: float = Field(0.15, ge=0.0)
     """Missed for no longer than this, a confirmed track is still called confirmed."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""

@@ -5,7 +5,7 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.objects.track import Track
 
-_MARGIN_M = 0.8  # beyond the points seen so far: a body is larger than what was seen of it
+_MARGIN_M = 0.5  # beyond the points seen so far: a body is larger than what was seen of it
 _SIGMAS = 2.0  # of the feature's and the track's position
 
 

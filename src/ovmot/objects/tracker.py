@@ -55,11 +55,12 @@ class ObjectTracker:
         taken = {j for _, j in pairs}
         own = dict(pairs)
         # 3 correct: by the measurement, else by the features that go as the track should
+        owner = _owner(tracks, seen.feature_id)
         for i, track in enumerate(tracks):
             tracks[i] = (
                 measured(track, measurements[own[i]], timestamp_ns, settings)
                 if i in own
-                else _followed(track, motions, timestamp_ns)
+                else _followed(track, motions, owner, timestamp_ns)
             )
         # 4 new ones
         for j, measurement in enumerate(measurements):
@@ -68,7 +69,8 @@ class ObjectTracker:
                 self._next_id += 1
         # 5 features that joined, two tracks on one body, and those that are gone
         alive = [track for track in tracks if _lives(track, timestamp_ns, settings)]
-        alive = [_joined(track, motions) for track in alive]
+        owner = _owner(alive, seen.feature_id)
+        alive = [_joined(track, motions, owner) for track in alive]
         self._tracks = _merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
         shown = tuple(
@@ -89,12 +91,12 @@ class ObjectTracker:
         return seen.feature_id[known], velocity[known]
 
 
-def _followed(track: Track, motions: FeatureMotions, now_ns: int) -> Track:
+def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: int) -> Track:
     """The track by its features, without a measurement; coasting where they are lost."""
     if track.state == TrackState.TENTATIVE:
         return _unseen(track)
     own = np.isin(motions.feature_id, track.feature_id)
-    for body in (follow(motions, own, track.velocity), _found_again(track, motions)):
+    for body in (follow(motions, own, track.velocity), _found_again(track, motions, owner)):
         if body is None:
             continue
         observation = observe(body.position - track.offset, body.velocity, _loose(body, track))
@@ -112,23 +114,24 @@ def _followed(track: Track, motions: FeatureMotions, now_ns: int) -> Track:
     return _unseen(track)
 
 
-def _found_again(track: Track, motions: FeatureMotions) -> FollowedBody | None:
+def _found_again(track: Track, motions: FeatureMotions, owner: IntArray) -> FollowedBody | None:
     """The body by any features where it should be that go as it should; None with less than two."""
-    joins = _joining(track, motions)
+    joins = _joining(track, motions, owner)
     return body_of(motions, joins) if joins.sum() >= _MIN_FOUND else None
 
 
-def _joined(track: Track, motions: FeatureMotions) -> Track:
+def _joined(track: Track, motions: FeatureMotions, owner: IntArray) -> Track:
     """The track with the features in its box that go as it goes."""
     if track.state != TrackState.CONFIRMED:
         return track
-    ids = motions.feature_id[_joining(track, motions)]
+    ids = motions.feature_id[_joining(track, motions, owner)]
     return replace(track, feature_id=np.union1d(track.feature_id, ids))
 
 
-def _joining(track: Track, motions: FeatureMotions) -> BoolArray:
-    """Features (N,) in a track's box that go as it goes and do not rest."""
+def _joining(track: Track, motions: FeatureMotions, owner: IntArray) -> BoolArray:
+    """Features (N,) in a track's box that go as it goes, do not rest and are no other track's."""
     near = inside(track, motions.p_world, motions.position_cov)
+    near &= (owner < 0) | (owner == track.track_id)
     return join(motions, near, track.velocity, track.filter.best.covariance[VELOCITY, VELOCITY])
 
 
