@@ -9,6 +9,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
+from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -34,6 +35,7 @@ from ovmot.types import (
     StereoMatches,
 )
 
+_NOISE_GAIN = 0.1  # of a frame, in the noise of matches
 _IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
 
 STAGES = ("start", "predict", "match", "split", "correct", "objects", "forget")
@@ -152,6 +154,8 @@ class Pipeline:
         if settings.objects.enabled:
             self._objects = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
+        self._split_settings, self._object_settings = settings.split, settings.objects
+        self._noise_px = float("nan")
         self._imu = ImuBuffer()
         self._ego: Ego | None = None
         self._table = empty_table()
@@ -197,6 +201,7 @@ class Pipeline:
             rig = ego.calibrated_rig()
             self._frontend.calibrate(rig)
             seen, matches = self._frontend.track(frame, camera_motion(ego.window(), rig))
+            self._note_noise(matches)
         # 3 split: what the predicted motion does not explain leaves the filter with its history
         with watch.stage("split"):
             table, split = self._split(append_frame(self._table, seen), seen, ego)
@@ -231,6 +236,17 @@ class Pipeline:
             return None
         return self._ego.estimate_at(newest, self._imu)
 
+    def _note_noise(self, matches: StereoMatches) -> None:
+        """Take the noise of stereo pairs, as these matches show it, into the settings in use."""
+        sigma = match_sigma(matches)
+        if self._settings.tracker.noise == "told" or not np.isfinite(sigma):
+            return
+        before = self._noise_px if np.isfinite(self._noise_px) else sigma
+        self._noise_px = before + _NOISE_GAIN * (sigma - before)
+        told = {"pixel_sigma": self._noise_px}
+        self._split_settings = self._settings.split.model_copy(update=told)
+        self._object_settings = self._settings.objects.model_copy(update=told)
+
     def _track_objects(
         self, table: TrackTable, points: ScenePoints, ego: Ego
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
@@ -238,9 +254,8 @@ class Pipeline:
         if self._objects is None:
             return (), points
         window, rig = ego.window(), ego.calibrated_rig()
-        measurements = measure_objects(
-            table, points, window, rig, self._settings.objects, self._rng
-        )
+        points = self._objects.owned(points)
+        measurements = measure_objects(table, points, window, rig, self._object_settings, self._rng)
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         now_ns = int(table.frame_ns[-1])
         tracks, points = self._objects.step(now_ns, measurements, points, T_world_cam0)
@@ -270,7 +285,7 @@ class Pipeline:
     def _split(self, table: TrackTable, seen: FrontendFrame, ego: Ego) -> tuple[TrackTable, Split]:
         """The table with dynamic features barred and suspects marked, and the split itself."""
         rig = ego.calibrated_rig()
-        split = split_points(table, seen, ego.window(), rig, self._settings.split)
+        split = split_points(table, seen, ego.window(), rig, self._split_settings)
         points = split.points
         if split.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)

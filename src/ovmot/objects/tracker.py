@@ -79,6 +79,10 @@ class ObjectTracker:
         )
         return shown, _labelled(seen, owner, self._tracks)
 
+    def owned(self, seen: ScenePoints) -> ScenePoints:
+        """The points of a new frame with the tracks that their features had until now."""
+        return replace(seen, track_id=_owner(self._tracks, seen.feature_id))
+
     def expected(self, seen: ScenePoints) -> tuple[IntArray, FloatArray]:
         """Features of this frame (N,) that should go on with a track, and its velocity (N, 3)."""
         velocity = np.full((len(seen.feature_id), 3), np.nan)
