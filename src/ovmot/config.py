@@ -67,8 +67,8 @@ class TrackerSettings(Section):
     focus_width_m: float = Field(3.0, gt=0.0)
     """Width of the surroundings of a moving point in which they are sought."""
     noise: Literal["measured", "told"] = "measured"
-    """Noise of stereo pairs in the split and of bodies: measured by the distances to epipolar lines,
-    or told by `split.pixel_sigma` and `objects.pixel_sigma`."""
+    """Noise of stereo pairs in the split and of bodies: measured by distances to epipolar lines, or
+    told by `split.pixel_sigma` and `objects.pixel_sigma`."""
     cameras: Literal["stereo", "left", "each"] = "stereo"
     """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)

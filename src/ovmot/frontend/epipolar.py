@@ -83,7 +83,7 @@ def match_sigma(matches: StereoMatches) -> float:
     if len(distance) < _MIN_MATCHES:
         return float("nan")
     sigma = 1.4826 * float(np.median(distance)) / 2.0**0.5
-    return max(_TAILS * sigma, _LEAST_SIGMA_PX)
+    return float(max(_TAILS * sigma, _LEAST_SIGMA_PX))
 
 
 def without_refused(values: FloatArray, matches: StereoMatches) -> FloatArray:

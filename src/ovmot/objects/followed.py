@@ -19,6 +19,7 @@ _MEMORY_S = 0.8
 _SHORTEST_S = 0.05
 _SPEED_SPREAD = 0.2  # m/s by which features of one body may differ
 _CHOSEN_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
+_LEAST_REACH_MPS, _SPEED_REACH = 1.0, 0.3  # how far off a joining feature's velocity may be
 _BETTER_THAN_REST = 9.0  # squared sigmas by which a body's motion must explain more than rest
 
 
@@ -137,7 +138,12 @@ def join(
     with_body = (off * np.linalg.solve(C + velocity_cov, off[..., None])[..., 0]).sum(-1)
     v = motions.velocity[index]
     at_rest = (v * np.linalg.solve(C, v[..., None])[..., 0]).sum(-1)
-    joins[index] = (with_body < _CHOSEN_GATE) & (at_rest > with_body + _BETTER_THAN_REST)
+    # an unsure body would take up anything around it
+    near_speed = np.linalg.norm(off, axis=1) < np.maximum(
+        _LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity))
+    )
+    alike = (with_body < _CHOSEN_GATE) & near_speed
+    joins[index] = alike & (at_rest > with_body + _BETTER_THAN_REST)
     return joins
 
 

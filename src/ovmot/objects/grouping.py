@@ -33,11 +33,12 @@ _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that 
 class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
-    `feature_id` (M,), `owner` (M,): the track that has it, -1 for none; `hops` (L,): frames since. `history` holds the plane coordinates,
-    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0`
-    (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero
-    where untested; `information` (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3)
-    and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up` (3,): the world's z.
+    `feature_id` (M,), `owner` (M,): the track that has it, -1 for none; `hops` (L,): frames since.
+    `history` holds the plane coordinates, `comparison` where the ego motion alone would put the
+    points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse
+    of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3): what it tells of
+    the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's
+    axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray

@@ -15,13 +15,14 @@ from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
 from ovmot.objects.region import inside
-from ovmot.objects.track import Track, TrackState, carried, gap, measured, start_track
+from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gap, measured, start_track
 from ovmot.types import ObjectTrack, PointLabel, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
 _SAME_SPEED_MPS = 1.5
-_MIN_FOUND = 2  # features that go as a track should, where it should be, are the track
+_MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
+_LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
 _MOVING_MPS = 1.0  # a track's speed from which its points are said to move
 
 
@@ -80,8 +81,12 @@ class ObjectTracker:
         return shown, _labelled(seen, owner, self._tracks)
 
     def owned(self, seen: ScenePoints) -> ScenePoints:
-        """The points of a new frame with the tracks that their features had until now."""
-        return replace(seen, track_id=_owner(self._tracks, seen.feature_id))
+        """The points of a new frame with the tracks that their features had until now.
+
+        Only tracks that are sure of their body: a piece of one shall find its whole again.
+        """
+        sure = [t for t in self._tracks if t.state == TrackState.CONFIRMED and t.overlaps == 0]
+        return replace(seen, track_id=_owner(sure, seen.feature_id))
 
     def expected(self, seen: ScenePoints) -> tuple[IntArray, FloatArray]:
         """Features of this frame (N,) that should go on with a track, and its velocity (N, 3)."""
@@ -186,25 +191,51 @@ def _with_own_features(tracks: Sequence[Track], seen: ScenePoints) -> list[Track
 
 
 def _merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Track, ...]:
-    """Without tracks that have lain on an older one, going as it goes, for some frames."""
+    """Tracks that have lain on an older one for some frames become one with it.
+
+    The older one's id stays, with what the one of more features knows. Until then a new one that
+    lies on an older one is not believed.
+    """
     out: list[Track] = []
     for track in tracks:
-        over = next((other for other in out if _same_body(track, other)), None)
+        over = next((k for k, other in enumerate(out) if _same_body(track, other)), None)
         if over is None:
             out.append(replace(track, overlaps=0))
         elif track.overlaps + 1 < settings.merge_frames:
-            out.append(replace(track, overlaps=track.overlaps + 1))
+            young = track.hits <= settings.confirm_hits + settings.merge_frames
+            state = TrackState.TENTATIVE if young else track.state
+            out.append(replace(track, state=state, overlaps=track.overlaps + 1))
+        elif len(track.feature_id) > len(out[over].feature_id):
+            out[over] = replace(track, track_id=out[over].track_id, overlaps=0)
     return tuple(out)
 
 
 def _same_body(track: Track, other: Track) -> bool:
-    """Do their boxes overlap, and do they move alike?"""
+    """Is one in the other, where no second body can be, or do they overlap and move alike?"""
+    if TrackState.COASTING not in (track.state, other.state) and (
+        _is_within(track, other) or _is_within(other, track)
+    ):
+        return True
+    along, across = _apart(track, other)
+    reach = 0.5 * (other.size + np.minimum(track.size, other.size))
+    near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
+    drive = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
+    near |= drive and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
+    return bool(near and np.linalg.norm(track.velocity - other.velocity) < _SAME_SPEED_MPS)
+
+
+def _is_within(track: Track, other: Track) -> bool:
+    """Is a track's middle inside the box of another one with more features?"""
+    along, across = _apart(track, other)
+    inner = along < 0.5 * other.size[0] and across < 0.5 * other.size[1]
+    return bool(inner and len(track.feature_id) < len(other.feature_id))
+
+
+def _apart(track: Track, other: Track) -> tuple[float, float]:
+    """Distances of the middles, along and across the other's heading, metres."""
     apart = track.position - other.position
     c, s = np.cos(other.yaw), np.sin(other.yaw)
-    along, across = c * apart[0] + s * apart[1], -s * apart[0] + c * apart[1]
-    reach = 0.5 * (other.size + np.minimum(track.size, other.size))
-    near = abs(along) < max(reach[0], 1.0) and abs(across) < max(0.7 * reach[1], 0.7)
-    return bool(near and np.linalg.norm(track.velocity - other.velocity) < _SAME_SPEED_MPS)
+    return abs(c * apart[0] + s * apart[1]), abs(-s * apart[0] + c * apart[1])
 
 
 def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
