@@ -258,6 +258,8 @@ class SplitSettings(Section):
     """Covariance test: standard deviation of the drift forgiven to points at rest."""
     pixel_sigma: float = Field(0.4, gt=0.0)
     """Covariance test: standard deviation of a stereo point's pixels."""
+    slide_px: float = Field(0.25, ge=0.0)
+    """Covariance test: how far a followed patch slides, standard deviation, pixels."""
     drift_per_flow: float = Field(0.01, ge=0.0)
     """Covariance test: further standard deviation, as a share of the way through the image."""
 

@@ -11,13 +11,14 @@ from ovmot.config import SplitSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import StereoHistory, compare, plane_sigma
+from ovmot.objects.comparison import Slide, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import Evidence, Verdict, covariance_test, examine_rest, fixed_test
 from ovmot.types import PoseWindow
 
 SETTINGS = SplitSettings(
     test="covariance", false_alarm=1e-4, forgiven_speed_mps=0.15, pixel_sigma=0.4,
-    drift_per_flow=0.0, distance_threshold_m=0.25, reprojection_threshold_px=3.0, combine="any",
+    slide_px=0.0, drift_per_flow=0.0, distance_threshold_m=0.25, reprojection_threshold_px=3.0,
+    combine="any",
 )  # fmt: skip
 ROWS = (1, 11, 15, 18, 20)  # of 22 frames at 10 Hz: 2.0, 1.0, 0.6, 0.3 and 0.1 s ago
 N_FRAMES = 22
@@ -51,7 +52,7 @@ def evidence_of(
         told[:, 1, 3] -= drift_mps * age
         comparison = compare(
             StereoHistory(m[index], m[-1], index, age[index]),
-            window_of(told), rig, SETTINGS.pixel_sigma, SETTINGS.drift_per_flow,
+            window_of(told), rig, SETTINGS.pixel_sigma, Slide(0.0, 0.0),
         )  # fmt: skip
         p_now = triangulate_stereo(m[-1], rig.T_cam1_cam0)
         sigma = plane_sigma(rig, SETTINGS.pixel_sigma)

@@ -17,7 +17,7 @@ _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 _COMMON, _UNLIKE = 0.9, 2.0  # a find is chance beyond twice what nine in ten are unlike
 _BACK_LEVEL = 1  # the way back starts where it should end: two levels are enough
 _MAX_ROUND_TRIP_PX = 0.7
-_MIN_EIGENVALUE = 1e-4
+_MIN_EIGENVALUE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
+from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import fit_velocity
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
@@ -81,7 +81,13 @@ def motion_history(
         longest = np.argsort(-known, kind="stable")[: settings.max_points]
         candidate = np.sort(candidate[longest])
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
-    comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
+    comparison = compare(
+        history,
+        window,
+        rig,
+        settings.pixel_sigma,
+        Slide(settings.slide_per_hop_px, settings.slide_per_flow),
+    )
     W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
     velocity, covariance, cost = fit_velocity(comparison, W)
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)

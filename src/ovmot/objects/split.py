@@ -12,7 +12,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import SplitSettings
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
+from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import MOTION_TESTS, Evidence, Verdict
 from ovmot.tracks import TrackTable
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
@@ -59,7 +59,13 @@ def split_points(
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((seen.timestamp_ns - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
-    comparison = compare(history, window, rig, settings.pixel_sigma, settings.drift_per_flow)
+    comparison = compare(
+        history,
+        window,
+        rig,
+        settings.pixel_sigma,
+        Slide(settings.slide_px, settings.drift_per_flow),
+    )
     comparison = _within_range(comparison, settings.max_range_m)
     p_cam0, cov_cam0 = points.p_cam0[near], points.cov_cam0[near]
     distance, reprojection = last_interval(comparison, p_cam0, history.now, rig, settings)
