@@ -5,20 +5,23 @@ seen at a slant: from one frame to the next, and from left to right, it slides. 
 therefore keeps its first patch, and every match is refined against it under an affine warp (J. Shi
 & C. Tomasi, CVPR 1994) by inverse compositional Gauss-Newton steps (S. Baker & I. Matthews, IJCV
 2004), on all features at once. Patches are compared with their mean taken off and their norm
-divided out.
+divided out, under a Gaussian weight around the centre.
 """
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ovmot.frontend.patch_kernel import align_points_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 _Float32 = npt.NDArray[np.float32]
 
 _RADIUS = 6  # pixels: patches are 13 wide
+_WEIGHT_SIGMA_PX = 3.0
 _MAX_STEPS = 8
 _SMALL_STEP_PX = 0.02
 _MAX_SHIFT_PX = 3.0  # from where the flow had ended
@@ -30,10 +33,13 @@ _BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
 _axis = np.arange(-_RADIUS, _RADIUS + 1, dtype=np.float32)
 _OFFSETS: _Float32 = np.stack(np.meshgrid(_axis, _axis), axis=-1).reshape(-1, 2)
 
+# What lies off the centre counts less: at an outline it belongs to another body.
+_ROOT_WEIGHT: _Float32 = np.exp(-0.25 * (_OFFSETS**2).sum(axis=1) / _WEIGHT_SIGMA_PX**2)
+
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """N patches of M pixels: `grey` (N, M) of zero mean and unit norm; `steepest` (N, M, 6), its
+    """N patches of M pixels: `grey` (N, M), weighted, of zero mean and unit norm; `steepest` (N, M, 6), its
     derivative by a shift (2) and by the warp's four numbers times the radius; `inverse` (N, 6, 6)
     of the curvature; `warp` (N, 2, 2): an offset x in the patch is now seen at uv + warp x."""
 
@@ -72,12 +78,13 @@ def cut_patches(image: Image, uv: FloatArray) -> Patches:
     axis = np.arange(side, dtype=np.float32) - (_RADIUS + 1)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     wide = _sample(image, uv, np.broadcast_to(np.eye(2), (n, 2, 2)), grid).reshape(n, side, side)
-    grey, norm = _normalized(wide[:, 1:-1, 1:-1].reshape(n, len(_OFFSETS)))
+    grey, norm = weighted_unit(wide[:, 1:-1, 1:-1].reshape(n, len(_OFFSETS)))
     by_u = 0.5 * (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]).reshape(n, len(_OFFSETS)) / norm
     by_v = 0.5 * (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]).reshape(n, len(_OFFSETS)) / norm
     x, y = _OFFSETS[:, 0] / _RADIUS, _OFFSETS[:, 1] / _RADIUS
     steepest = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y], axis=-1)
-    steepest -= steepest.mean(axis=1, keepdims=True)
+    weight = (_ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum())[:, None]
+    steepest = (steepest - (weight * steepest).sum(axis=1, keepdims=True)) * _ROOT_WEIGHT[:, None]
     steepest -= grey[..., None] * (grey[:, None, :] @ steepest)  # what a gain would explain
     H = np.swapaxes(steepest, 1, 2) @ steepest
     damping = _DAMPING * np.trace(H, axis1=1, axis2=2) / 6.0 + 1e-9
@@ -92,29 +99,29 @@ def no_patches() -> Patches:
 
 
 def align(
-    patches: Patches, image: Image, start: FloatArray, start_warp: FloatArray
+    patches: Patches,
+    image: Image,
+    start: FloatArray,
+    start_warp: FloatArray,
+    workers: Executor,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Where the patches are in a smoothed image: uv (N, 2), warps (N, 2, 2), and which fit (N,).
 
-    From `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere.
+    From `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves of the
+    points run in two threads, each point by itself, so the answer does not depend on the split.
     """
-    uv, warp = start.copy(), start_warp.copy()
-    going = np.flatnonzero(np.isfinite(start).all(axis=1))
-    correlation = np.zeros(len(uv))
-    for _ in range(_MAX_STEPS):
-        if not len(going):
-            break
-        seen, _ = _normalized(_sample(image, uv[going], warp[going], _OFFSETS))
-        error = seen - patches.grey[going]
-        correlation[going] = 1.0 - 0.5 * (error**2).sum(axis=1)
-        gradient = error[:, None, :] @ patches.steepest[going]
-        step = (gradient @ patches.inverse[going])[:, 0].astype(np.float64)
-        change = np.eye(2) + step[:, 2:].reshape(-1, 2, 2) / _RADIUS
-        warp[going] = warp[going] @ np.linalg.inv(change)
-        shift = (warp[going] @ step[:, :2, None])[..., 0]
-        uv[going] -= shift
-        near = np.linalg.norm(uv[going] - start[going], axis=1) < _MAX_SHIFT_PX
-        going = going[near & (np.abs(step).max(axis=1) > _SMALL_STEP_PX)]
+    uv, warp = start.astype(np.float64), start_warp.astype(np.float64)
+    half = (len(uv) + 1) // 2
+    parts = [slice(0, half), slice(half, None)]
+    jobs = [
+        workers.submit(
+            align_points_compiled, image, patches.grey[part], patches.steepest[part],
+            patches.inverse[part], _ROOT_WEIGHT, uv[part], warp[part],
+            _MAX_STEPS, _SMALL_STEP_PX, _MAX_SHIFT_PX,
+        )
+        for part in parts
+    ]  # fmt: skip
+    correlation = np.concatenate([job.result() for job in jobs])
     shift = np.linalg.norm(uv - start, axis=1)
     with np.errstate(invalid="ignore"):
         fits = (shift < _MAX_SHIFT_PX) & (correlation > _MIN_CORRELATION)
@@ -122,14 +129,14 @@ def align(
 
 
 def followed(
-    patches: Patches, image: Image, start: FloatArray
-) -> tuple[FloatArray, Patches]:  # fmt: skip
+    patches: Patches, image: Image, start: FloatArray, workers: Executor
+) -> tuple[FloatArray, Patches]:
     """Refined pixels (N, 2) in the next smoothed left image, and the patches as seen there.
 
     Those that do not fit any more, or are seen at another scale, stay where the flow left them or
     the alignment put them, and are taken anew.
     """
-    uv, warp, fits = align(patches, image, start, patches.warp)
+    uv, warp, fits = align(patches, image, start, patches.warp, workers)
     uv = np.where(fits[:, None], uv, start)
     scale = np.linalg.svd(np.where(fits[:, None, None], warp, np.eye(2)), compute_uv=False)
     stale = ~fits | (scale.max(axis=1) > _SCALES[1]) | (scale.min(axis=1) < _SCALES[0])
@@ -152,8 +159,9 @@ def _sample(image: Image, uv: FloatArray, warp: FloatArray, offsets: _Float32) -
     return np.asarray(sampled, dtype=np.float32)
 
 
-def _normalized(grey: _Float32) -> tuple[_Float32, _Float32]:
-    """Rows (N, M) without their mean and of unit norm, and that norm (N, 1)."""
-    grey = grey - grey.mean(axis=1, keepdims=True)
-    norm = np.maximum(np.linalg.norm(grey, axis=1, keepdims=True), 1e-3)
+def weighted_unit(grey: _Float32) -> tuple[_Float32, _Float32]:
+    """Rows (N, M) without their weighted mean, by root weight and of unit norm; that norm (N, 1)."""
+    weight = _ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum()
+    grey = (grey - (grey * weight).sum(axis=1, keepdims=True)) * _ROOT_WEIGHT
+    norm = np.maximum(np.linalg.norm(grey, axis=1, keepdims=True), np.float32(1e-3))
     return grey / norm, norm

@@ -116,7 +116,7 @@ class PointFollower:
         nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)
         again = np.stack([nearby, at_rest])
         flow = follow_lost(*pictures, flow, again, self._settings, self._workers)
-        uv, patches = followed(self.patches, view.smooth, flow.uv)
+        uv, patches = followed(self.patches, view.smooth, flow.uv, self._workers)
         xy = camera.normalize(uv)
         ok = flow.found & view.shows(uv) & np.isfinite(xy[:, 0])
         threshold = self._settings.two_view_threshold_px / camera.fx

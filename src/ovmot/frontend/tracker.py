@@ -96,7 +96,8 @@ class StereoTracker:
         pictures = left.image, right.image, points.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         flow = follow_lost(*pictures, flow, start[None], self._settings, self._workers)
-        refined, _, fits = align(self._left.patches, right.smooth, flow.uv, self._left.patches.warp)
+        patches = self._left.patches
+        refined, _, fits = align(patches, right.smooth, flow.uv, patches.warp, self._workers)
         uv = np.where(fits[:, None], refined, flow.uv)
         ok = flow.found & right.shows(uv)
         pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)

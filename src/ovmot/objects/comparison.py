@@ -66,9 +66,6 @@ class Slide:
     per_flow: float
 
 
-
-
-
 def plane_sigma(rig: StereoRig, sigma_px: float) -> FloatArray:
     """Standard deviations (4,) of a stereo pair's plane coordinates."""
     f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
