@@ -66,9 +66,6 @@ class TrackerSettings(Section):
     """Distance that these keep from each other."""
     focus_width_m: float = Field(3.0, gt=0.0)
     """Width of the surroundings of a moving point in which they are sought."""
-    noise: Literal["measured", "told"] = "measured"
-    """Noise of stereo pairs in the split and of bodies: measured by distances to epipolar lines, or
-    told by `split.pixel_sigma` and `objects.pixel_sigma`."""
     cameras: Literal["stereo", "left", "each"] = "stereo"
     """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
@@ -258,8 +255,6 @@ class SplitSettings(Section):
     """Covariance test: standard deviation of the drift forgiven to points at rest."""
     pixel_sigma: float = Field(0.4, gt=0.0)
     """Covariance test: standard deviation of a stereo point's pixels."""
-    slide_px: float = Field(0.25, ge=0.0)
-    """Covariance test: how far a followed patch slides, standard deviation, pixels."""
     drift_per_flow: float = Field(0.01, ge=0.0)
     """Covariance test: further standard deviation, as a share of the way through the image."""
 
@@ -283,6 +278,8 @@ class ObjectSettings(Section):
     """Neighbouring groups that move alike and together are no wider across are one body."""
     min_points: int = Field(3, ge=3)
     """Bodies with fewer points are left out."""
+    noise: Literal["measured", "told"] = "measured"
+    """Noise of stereo pairs: measured by their distances to epipolar lines, or told."""
     pixel_sigma: float = Field(0.3, gt=0.0)
     """Standard deviation of each coordinate of a stereo pair, pixels."""
     slide_per_hop_px: float = Field(0.15, ge=0.0)

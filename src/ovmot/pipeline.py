@@ -154,7 +154,7 @@ class Pipeline:
         if settings.objects.enabled:
             self._objects = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
-        self._split_settings, self._object_settings = settings.split, settings.objects
+        self._object_settings = settings.objects
         self._noise_px = float("nan")
         self._imu = ImuBuffer()
         self._ego: Ego | None = None
@@ -239,13 +239,13 @@ class Pipeline:
     def _note_noise(self, matches: StereoMatches) -> None:
         """Take the noise of stereo pairs, as these matches show it, into the settings in use."""
         sigma = match_sigma(matches)
-        if self._settings.tracker.noise == "told" or not np.isfinite(sigma):
+        if self._settings.objects.noise == "told" or not np.isfinite(sigma):
             return
         before = self._noise_px if np.isfinite(self._noise_px) else sigma
         self._noise_px = before + _NOISE_GAIN * (sigma - before)
-        told = {"pixel_sigma": self._noise_px}
-        self._split_settings = self._settings.split.model_copy(update=told)
-        self._object_settings = self._settings.objects.model_copy(update=told)
+        self._object_settings = self._settings.objects.model_copy(
+            update={"pixel_sigma": self._noise_px}
+        )
 
     def _track_objects(
         self, table: TrackTable, points: ScenePoints, ego: Ego
@@ -285,7 +285,7 @@ class Pipeline:
     def _split(self, table: TrackTable, seen: FrontendFrame, ego: Ego) -> tuple[TrackTable, Split]:
         """The table with dynamic features barred and suspects marked, and the split itself."""
         rig = ego.calibrated_rig()
-        split = split_points(table, seen, ego.window(), rig, self._split_settings)
+        split = split_points(table, seen, ego.window(), rig, self._settings.split)
         points = split.points
         if split.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)

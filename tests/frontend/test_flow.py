@@ -137,12 +137,16 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     first = follow(source, target, points, unknown(points), near, workers)
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
-    again = follow_lost(source, target, points, first, (points + shift)[None], near, workers)
+    again = follow_lost(
+        source, target, points, first, (points + shift)[None], points, near, workers
+    )
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
     flat = np.full_like(target, 128)
     flat[:, :150] = target[:, :150]
     nowhere = follow(source, flat, points, unknown(points), near, workers)
-    again = follow_lost(source, flat, points, nowhere, (points + shift)[None], near, workers)
+    again = follow_lost(
+        source, flat, points, nowhere, (points + shift)[None], points, near, workers
+    )
     assert not again.found[points[:, 0] > 170].any()

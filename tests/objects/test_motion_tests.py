@@ -17,7 +17,7 @@ from ovmot.types import PoseWindow
 
 SETTINGS = SplitSettings(
     test="covariance", false_alarm=1e-4, forgiven_speed_mps=0.15, pixel_sigma=0.4,
-    slide_px=0.0, drift_per_flow=0.0, distance_threshold_m=0.25, reprojection_threshold_px=3.0,
+    drift_per_flow=0.0, distance_threshold_m=0.25, reprojection_threshold_px=3.0,
     combine="any",
 )  # fmt: skip
 ROWS = (1, 11, 15, 18, 20)  # of 22 frames at 10 Hz: 2.0, 1.0, 0.6, 0.3 and 0.1 s ago

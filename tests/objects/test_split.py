@@ -17,7 +17,7 @@ from ovmot.types import FrontendFrame, PointLabel, PoseWindow
 STATIC, DYNAMIC, UNKNOWN = int(PointLabel.STATIC), int(PointLabel.DYNAMIC), int(PointLabel.UNKNOWN)
 SETTINGS = SplitSettings(
     enabled=True, candidates="tracked", test="covariance", max_range_m=60.0, false_alarm=1e-4,
-    forgiven_speed_mps=0.15, pixel_sigma=0.4, slide_px=0.0, drift_per_flow=0.0,
+    forgiven_speed_mps=0.15, pixel_sigma=0.4, drift_per_flow=0.0,
     distance_threshold_m=0.25,
     depth_weight=0.3, reprojection_threshold_px=3.0, combine="any",
 )  # fmt: skip

@@ -54,12 +54,14 @@ def follow_lost(
     points: FloatArray,
     flow: Flow,
     starts: FloatArray,
+    around: FloatArray,
     settings: TrackerSettings,
     workers: Executor,
 ) -> Flow:
-    """The flow, with what it lost looked for again: near `starts` (H, N, 2), then far around.
+    """The flow, with what it lost looked for again: near `starts` (H, N, 2), then far `around`.
 
-    The starts come in order of trust, NaN for none; the last is searched with the whole pyramid.
+    The starts come in order of trust, NaN for none; around the last places (N, 2) the whole pyramid
+    is searched.
     A further look finds something wherever it looks, so that what it finds must be as like as what
     the first look found.
     """
@@ -68,7 +70,7 @@ def follow_lost(
     bound = _UNLIKE * float(np.quantile(flow.unlikeness[flow.found], _COMMON))
     uv, found, unlikeness = flow.uv.copy(), flow.found.copy(), flow.unlikeness.copy()
     levels = [settings.klt_near_levels] * len(starts) + [settings.klt_levels]
-    for start, n_levels in zip((*starts, starts[-1]), levels, strict=True):
+    for start, n_levels in zip((*starts, around), levels, strict=True):
         lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))
         again = _follow_halves(
             source, target, points[lost], start[lost], n_levels, settings, workers

@@ -17,7 +17,7 @@ from ovmot.kernel_cache import code_folder, compiled
 _Float32 = npt.NDArray[np.float32]
 
 
-def align_points(
+def align_points(  # noqa: PLR0912, PLR0915 - one loop, compiled as a whole
     image: Image,
     grey: _Float32,
     steepest: _Float32,
@@ -36,7 +36,7 @@ def align_points(
     below `small_step`, or `max_shift` pixels from its start.
     """
     n_points, n_pixels = grey.shape
-    side = int(round(math.sqrt(n_pixels)))
+    side = round(math.sqrt(n_pixels))
     radius = (side - 1) // 2
     height, width = image.shape
     correlation = np.zeros(n_points)

@@ -39,9 +39,10 @@ _ROOT_WEIGHT: _Float32 = np.exp(-0.25 * (_OFFSETS**2).sum(axis=1) / _WEIGHT_SIGM
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """N patches of M pixels: `grey` (N, M), weighted, of zero mean and unit norm; `steepest` (N, M, 6), its
-    derivative by a shift (2) and by the warp's four numbers times the radius; `inverse` (N, 6, 6)
-    of the curvature; `warp` (N, 2, 2): an offset x in the patch is now seen at uv + warp x."""
+    """N patches of M pixels: `grey` (N, M), weighted, of zero mean and unit norm; `steepest`
+    (N, M, 6), its derivative by a shift (2) and by the warp's four numbers times the radius;
+    `inverse` (N, 6, 6) of the curvature; `warp` (N, 2, 2): an offset x in the patch is now seen at
+    uv + warp x."""
 
     grey: _Float32
     steepest: _Float32
@@ -160,7 +161,7 @@ def _sample(image: Image, uv: FloatArray, warp: FloatArray, offsets: _Float32) -
 
 
 def weighted_unit(grey: _Float32) -> tuple[_Float32, _Float32]:
-    """Rows (N, M) without their weighted mean, by root weight and of unit norm; that norm (N, 1)."""
+    """Rows (N, M) less their weighted mean, by root weight, of unit norm; and that norm (N, 1)."""
     weight = _ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum()
     grey = (grey - (grey * weight).sum(axis=1, keepdims=True)) * _ROOT_WEIGHT
     norm = np.maximum(np.linalg.norm(grey, axis=1, keepdims=True), np.float32(1e-3))

@@ -114,8 +114,10 @@ class PointFollower:
         pictures = self._image, view.image, old.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)
-        again = np.stack([nearby, at_rest])
-        flow = follow_lost(*pictures, flow, again, self._settings, self._workers)
+        # not again where the first look began
+        elsewhere = np.where((start != at_rest).any(axis=1)[:, None], at_rest, np.nan)
+        again = np.stack([nearby, elsewhere])
+        flow = follow_lost(*pictures, flow, again, at_rest, self._settings, self._workers)
         uv, patches = followed(self.patches, view.smooth, flow.uv, self._workers)
         xy = camera.normalize(uv)
         ok = flow.found & view.shows(uv) & np.isfinite(xy[:, 0])

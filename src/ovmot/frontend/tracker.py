@@ -95,7 +95,8 @@ class StereoTracker:
         start = predict_right(points.xy, depth, self._rig)
         pictures = left.image, right.image, points.uv
         flow = follow(*pictures, start, self._settings, self._workers)
-        flow = follow_lost(*pictures, flow, start[None], self._settings, self._workers)
+        nowhere = np.empty((0, *start.shape))
+        flow = follow_lost(*pictures, flow, nowhere, start, self._settings, self._workers)
         patches = self._left.patches
         refined, _, fits = align(patches, right.smooth, flow.uv, patches.warp, self._workers)
         uv = np.where(fits[:, None], refined, flow.uv)

@@ -82,8 +82,7 @@ def compare(
     """Carry the earlier points into the present camera and compare, with covariances.
 
     C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now + what
-    a followed patch slides as its view changes. The right match is of the slid left one: both views
-    slide alike, and the depth does not notice.
+    a followed patch slides as its view changes.
     """
     sigma = plane_sigma(rig, sigma_px)
     T_c1_c0 = rig.T_cam1_cam0

@@ -64,7 +64,7 @@ def split_points(
         window,
         rig,
         settings.pixel_sigma,
-        Slide(settings.slide_px, settings.drift_per_flow),
+        Slide(0.0, settings.drift_per_flow),
     )
     comparison = _within_range(comparison, settings.max_range_m)
     p_cam0, cov_cam0 = points.p_cam0[near], points.cov_cam0[near]

@@ -27,6 +27,7 @@ DRIVES_MPS = 3.0
 _MOVING_MPS = 0.5  # slower, the velocity has no direction
 _MANY_FEATURES = 5  # that move together are no chance: two measurements are enough
 _GROWTH = 0.5  # share of the way to a greater size that a measurement makes
+_SHRINK = 0.97  # of the size, where a measurement shows less
 _BIGGEST = np.array([20.0, 4.0, 5.0])
 
 
@@ -145,7 +146,7 @@ def measured(
 ) -> Track:
     """The track corrected by its measurement."""
     dt = 1e-9 * (now_ns - track.measured_ns)
-    size = np.maximum(track.size, track.size + _GROWTH * (measurement.size - track.size))
+    size = np.maximum(_SHRINK * track.size, track.size + _GROWTH * (measurement.size - track.size))
     body = update(track.filter, as_observation(measurement, size, dt))
     hits = track.hits + 1
     evidence = track.evidence + min(dt, settings.confirm_s)

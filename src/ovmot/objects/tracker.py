@@ -23,6 +23,7 @@ _TENTATIVE_MISSES_S = 0.25
 _SAME_SPEED_MPS = 1.5
 _MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
 _LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
+_WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
 _MOVING_MPS = 1.0  # a track's speed from which its points are said to move
 
 
@@ -130,11 +131,19 @@ def _found_again(track: Track, motions: FeatureMotions, owner: IntArray) -> Foll
 
 
 def _joined(track: Track, motions: FeatureMotions, owner: IntArray) -> Track:
-    """The track with the features in its box that go as it goes."""
-    if track.state != TrackState.CONFIRMED:
+    """The track with the features in its box that go as it goes, and without those far off it."""
+    if track.state == TrackState.COASTING:
         return track
-    ids = motions.feature_id[_joining(track, motions, owner)]
-    return replace(track, feature_id=np.union1d(track.feature_id, ids))
+    ids = track.feature_id
+    if track.state == TrackState.CONFIRMED:
+        ids = np.union1d(ids, motions.feature_id[_joining(track, motions, owner)])
+    off = ~inside(track, motions.p_world, motions.position_cov)
+    return replace(track, feature_id=np.setdiff1d(ids, motions.feature_id[off & _placed(motions)]))
+
+
+def _placed(motions: FeatureMotions) -> BoolArray:
+    """Which features (N,) have a position."""
+    return np.asarray(np.isfinite(motions.p_world[:, 0]))
 
 
 def _joining(track: Track, motions: FeatureMotions, owner: IntArray) -> BoolArray:
@@ -227,7 +236,7 @@ def _same_body(track: Track, other: Track) -> bool:
 def _is_within(track: Track, other: Track) -> bool:
     """Is a track's middle inside the box of another one with more features?"""
     along, across = _apart(track, other)
-    inner = along < 0.5 * other.size[0] and across < 0.5 * other.size[1]
+    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], _WIDTH_M)
     return bool(inner and len(track.feature_id) < len(other.feature_id))
 
 
