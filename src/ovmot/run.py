@@ -227,16 +227,16 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
 def known_start(
     recording: FeatureRecording, settings: Settings, sigmas: StartSigmas, rig: StereoRig
 ) -> KnownStart:
-    """The filter's start at the truth of a simulation's first frame, exact biases included."""
+    """The filter's start at the truth of a simulation's first frame, exact biases included.
+
+    A rig whose time offset is wrong puts that frame at another instant: the truth is that of then.
+    """
     simulation, truth = recording.simulation, recording.truth()
-    T = truth.T_world_imu[0]
-    state = ImuState(
-        T[:3, :3], T[:3, 3], truth.velocity[0], truth.gyro_bias[0], truth.accel_bias[0]
-    )
-    return KnownStart(
-        int(truth.timestamp_ns[0]), state, sigmas, rig, simulation.imu.noise,
-        settings,
-    )  # fmt: skip
+    first_ns = int(truth.timestamp_ns[0])
+    then_ns = first_ns + round(1e9 * (rig.time_offset_s - simulation.rig.time_offset_s))
+    T, velocity = simulation.path.pose(then_ns), simulation.path.velocity(then_ns)
+    state = ImuState(T[:3, :3], T[:3, 3], velocity, truth.gyro_bias[0], truth.accel_bias[0])
+    return KnownStart(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
 
 
 def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:

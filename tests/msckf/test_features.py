@@ -16,6 +16,7 @@ from ovmot.msckf.features import (
     FeatureSystem,
     chi2_gate,
     linearize,
+    reproject,
     separate_points,
     triangulate_features,
 )
@@ -125,6 +126,18 @@ def test_a_point_behind_a_camera_gives_no_rows(state: State, rig: StereoRig) -> 
     assert system.n_rows[0] == 0
     assert not system.H[0].any()
     np.testing.assert_array_equal(system.n_rows[1:], 16)
+
+
+def test_views_are_linearised_in_the_picture_only(state: State, rig: StereoRig) -> None:
+    """A first estimate far to the side is seen nowhere, though the latest one is where it is."""
+    pixels = per_clone(state, rig, POINTS, "pixels")
+    beside = POINTS.copy()
+    beside[0] += [-POINTS[0, 0] + 1.5, 14.0, -6.0]
+    beside[1] += 0.05  # still seen
+    seen = reproject(state.clones, rig, pixels, (POINTS, beside), SIGMA_PX, state.calibration)
+    assert not seen.seen[0].any()
+    assert not seen.by_pose[0].any()
+    assert seen.seen[1:].all()
 
 
 def test_features_are_triangulated_in_world(state: State, rig: StereoRig) -> None:

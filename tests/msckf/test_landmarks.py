@@ -297,6 +297,23 @@ def test_views_make_a_landmark_surer_and_a_wrong_one_is_refused(
     assert unseen is state
 
 
+def test_a_landmark_that_is_beside_the_picture_by_its_first_estimate_waits(
+    scene: Callable[..., tuple[State, StereoRig]],
+) -> None:
+    """Four times as near as it is, it would be passed by now."""
+    state, rig = scene("anchored_msckf_inverse_depth")
+    pixels = views_of(state, rig, points_of(state, rig))[:, -1]
+    first = state.landmarks.first.copy()
+    first[0] = [-8.0, -3.0, 0.7]
+    state = replace(state, landmarks=replace(state.landmarks, first=first))
+    seen = update_landmarks(state, rig, rig.T_imu_cam0, pixels, SIGMA_PX, 1.0)
+    unseen = pixels.copy()
+    unseen[0] = np.nan
+    without = update_landmarks(state, rig, rig.T_imu_cam0, unseen, SIGMA_PX, 1.0)
+    np.testing.assert_array_equal(seen.covariance, without.covariance)
+    assert np.trace(seen.covariance) < np.trace(state.covariance)
+
+
 def test_first_estimates_stay_where_they_were(
     scene: Callable[..., tuple[State, StereoRig]],
 ) -> None:

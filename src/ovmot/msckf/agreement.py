@@ -8,11 +8,11 @@ length is chi-squared with 3 degrees of freedom.
 """
 
 import numpy as np
-from scipy.linalg import cholesky, qr, solve_triangular
+from scipy.linalg import qr, solve_triangular
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.msckf.state import VELOCITY, State
-from ovmot.msckf.update import chi2_bound, compress
+from ovmot.msckf.update import chi2_bound, compress, innovation_factor
 
 _SLACK = 2.0  # on the bound: errors of slid patches are not white
 _CERTAIN = 1.0 - 1e-5
@@ -25,8 +25,7 @@ def velocity_distance(
     """Squared distance, 3 degrees, of the velocity that residual = H δ[columns] + n asks for from
     the state's own, in units of what it may differ; `H` (m, k), `residual` (m,), n ~ N(0, I)."""
     P = state.covariance
-    S = H @ P[np.ix_(columns, columns)] @ H.T
-    L = cholesky(S + np.eye(len(S)), lower=True)
+    L = innovation_factor(P[np.ix_(columns, columns)], H, np.ones(len(residual)))
     innovation = solve_triangular(L, residual, lower=True)
     W = solve_triangular(L, H @ P[columns, VELOCITY], lower=True)
     asked = qr(W, mode="economic")[0].T @ innovation

@@ -22,6 +22,8 @@ from ovmot.msckf.calibration import (
 from ovmot.msckf.state import Clones, State
 from ovmot.msckf.update import chi2_bound
 
+_BESIDE = 0.1  # of the picture's width: a linearisation this far outside still holds
+
 
 @dataclass(frozen=True, slots=True)
 class Reprojection:
@@ -112,6 +114,9 @@ def reproject(
     `pixels` (F, K, 4), NaN where unseen; `points`: world points (F, 3) at the latest and at the
     first estimates; `rig` as calibrated now. With p_imu = Rᵀ(p - t): ∂p_imu/∂θ = [p_imu]x,
     ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
+
+    A view counts where the point it is linearised at lies in the picture too: beside it, and near
+    the camera's plane, the derivatives are huge and say nothing of what was seen.
     """
     shape = pixels.shape
     residual, by_pose = np.empty(shape), np.empty((*shape, 6))
@@ -120,6 +125,7 @@ def reproject(
     p_imu = se3.apply(se3.inverse(clones.T_world_imu)[None], points[0][:, None])
     p_first = se3.apply(first[None], points[1][:, None])
     by_theta = so3.hat(p_first)
+    in_picture = np.empty(shape, dtype=np.bool_)
     for side, (camera, T_imu_cam) in enumerate(
         ((rig.cam0, rig.T_imu_cam0), (rig.cam1, rig.T_imu_cam1))
     ):
@@ -127,7 +133,8 @@ def reproject(
         rows = slice(2 * side, 2 * side + 2)
         residual[..., rows] = pixels[..., rows] - camera.project(se3.apply(T_cam_imu, p_imu))
         p_cam = se3.apply(T_cam_imu, p_first)
-        _, J = camera.project_with_jacobian(p_cam)
+        at_first, J = camera.project_with_jacobian(p_cam)
+        in_picture[..., rows] = camera.inside(at_first, -_BESIDE * camera.width)[..., None]
         J_imu = J @ T_cam_imu[:3, :3]
         by_point[..., rows, :] = J_imu @ first[None, :, :3, :3]
         by_pose[..., rows, :3] = J_imu @ by_theta
@@ -141,7 +148,7 @@ def reproject(
         where = calibration.where(LENSES[side])
         if where is not None:
             by_calibration[..., rows, where] = lens_jacobian(camera, p_cam)
-    seen = np.isfinite(residual) & np.isfinite(by_pose).all(-1)
+    seen = in_picture & np.isfinite(residual) & np.isfinite(by_pose).all(-1)
 
     def whitened(values: FloatArray) -> FloatArray:
         return np.where(seen[..., None], values / sigma_px, 0.0)
