@@ -25,7 +25,7 @@ _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
 _NEIGHBOURS = 5  # nearest ones among which two must be to be linked
-_FORGIVEN_ACCEL = 3.0  # m/s² that points of a body may have, also as it turns
+_FORGIVEN_ACCEL = 1.5  # m/s² that points of a body may have, also as it turns
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
@@ -69,7 +69,7 @@ def motion_history(
     """
     rows = _rows(table, window, settings.look_back_s)
     history = _history(table, points, window, rows)
-    shown = _displaced(history, points, window, rig) > _HINT
+    shown = _displaced(history, points, window, rig, settings) > _HINT
     shown |= points.label != int(PointLabel.STATIC)
     with np.errstate(invalid="ignore"):
         near = points.p_cam0[:, 2] < settings.max_range_m
@@ -151,7 +151,11 @@ def _only(comparison: Comparison, index: IntArray) -> Comparison:
 
 
 def _displaced(
-    history: StereoHistory, points: ScenePoints, window: PoseWindow, rig: StereoRig
+    history: StereoHistory,
+    points: ScenePoints,
+    window: PoseWindow,
+    rig: StereoRig,
+    settings: ObjectSettings,
 ) -> FloatArray:
     """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
 
@@ -161,7 +165,9 @@ def _displaced(
     T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
     carried = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, rig.T_cam1_cam0))
     apart = (carried - points.p_cam0) ** 2
-    variance = 2.0 * np.diagonal(points.cov_cam0, axis1=1, axis2=2)
+    sigma = plane_sigma(rig, settings.pixel_sigma)
+    now = stereo_covariance(points.p_cam0, rig.T_cam1_cam0, sigma)
+    variance = 2.0 * np.diagonal(now, axis1=1, axis2=2)
     squared = (apart / variance).sum(-1)
     oldest: FloatArray = np.zeros(len(points.feature_id))
     for row in squared[::-1]:

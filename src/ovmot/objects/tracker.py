@@ -20,7 +20,8 @@ from ovmot.types import ObjectTrack, PointLabel, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
-_SAME_SPEED_MPS = 1.5
+_SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
+_ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
 _LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
 _WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
@@ -230,7 +231,16 @@ def _same_body(track: Track, other: Track) -> bool:
     near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
     drive = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
     near |= drive and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
-    return bool(near and np.linalg.norm(track.velocity - other.velocity) < _SAME_SPEED_MPS)
+    return bool(near and _goes_like(track, other))
+
+
+def _goes_like(track: Track, other: Track) -> bool:
+    """Are two velocities the same, within their covariance and by no more than a walker's speed?"""
+    dv = track.velocity - other.velocity
+    P = sum(t.filter.best.covariance[VELOCITY, VELOCITY] for t in (track, other))
+    C = P + _SPEED_SPREAD**2 * np.eye(3)
+    alike = dv @ np.linalg.solve(C, dv) < _ALIKE_GATE
+    return bool(alike and np.linalg.norm(dv) < _SAME_SPEED_MPS)
 
 
 def _is_within(track: Track, other: Track) -> bool:
