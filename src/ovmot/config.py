@@ -270,7 +270,7 @@ class ObjectSettings(Section):
     """Earlier times to choose from; each body is compared with the one that tells most."""
     max_range_m: float = Field(60.0, gt=0.0)
     """Points farther than this belong to no body."""
-    max_points: int = Field(180, ge=10)
+    max_points: int = Field(240, ge=10)
     """Points that are looked at in a frame; those followed longest come first."""
     neighbour_radius_m: float = Field(1.8, gt=0.0)
     """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""

@@ -9,7 +9,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 
 _GATE = 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
 _SHARED = 2  # features that make a pair possible though the state says no
-_SHARED_GATE = 10.0 * _GATE
+_SHARED_GATE = 3.0 * _GATE
 _NONE = 1e6
 
 

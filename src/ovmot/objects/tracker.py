@@ -22,6 +22,7 @@ _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something el
 _TENTATIVE_MISSES_S = 0.25
 _SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
 _ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
+_MAX_ACCEL, _SIGMAS = 8.0, 3.0  # m/s²: a car on its brakes
 _MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
 _LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
 _WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
@@ -108,7 +109,7 @@ def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: in
         return _unseen(track)
     own = np.isin(motions.feature_id, track.feature_id)
     for body in (follow(motions, own, track.velocity), _found_again(track, motions, owner)):
-        if body is None:
+        if body is None or not _could_do(track, body, now_ns):
             continue
         observation = observe(body.position - track.offset, body.velocity, _loose(body, track))
         if distance(track.filter, observation) > _FOLLOWED_GATE:
@@ -123,6 +124,14 @@ def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: in
             updated_ns=now_ns,
         )
     return _unseen(track)
+
+
+def _could_do(track: Track, body: FollowedBody, now_ns: int) -> bool:
+    """Can a track have come to this velocity since it was seen? Else its features are the street's,
+    left behind."""
+    change = float(np.linalg.norm(body.velocity - track.velocity))
+    sigma = np.sqrt(np.trace(body.covariance[3:, 3:]))
+    return bool(change < _MAX_ACCEL * 1e-9 * (now_ns - track.updated_ns) + _SIGMAS * sigma)
 
 
 def _found_again(track: Track, motions: FeatureMotions, owner: IntArray) -> FollowedBody | None:
