@@ -129,14 +129,14 @@ def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
     wrong = CalibrationError(
         rotation_deg=1.0, position_m=0.02, focal_share=0.01, time_offset_s=0.01
     )
-    true, told = simulation.rig, miscalibrated(simulation.rig, wrong, np.random.default_rng(1))
+    true, told = simulation.rig, miscalibrated(simulation.rig, wrong, np.random.default_rng(0))
     settings = load_settings(
         None,
         [
             "calibration.extrinsics=true", "calibration.intrinsics=true",
             "calibration.position_sigma_m=0.012", "calibration.focal_sigma_px=5",
             "filter.time_offset_sigma_s=0.01", "filter.pixel_sigma=1",
-            "filter.landmark_pixel_sigma=1", "epipolar.threshold_px=30",
+            "filter.landmark_pixel_sigma=1", "epipolar.threshold_px=30", "split.enabled=false",
         ],
     )  # fmt: skip
     recording = FeatureRecording(simulation, 1)
