@@ -58,11 +58,13 @@ class TrackerSettings(Section):
     """Levels of the image pyramid for a search around a predicted place."""
     klt_levels: int = Field(5, ge=1, le=8)
     """Levels for a search far around, where that found nothing."""
-    covered_cell_px: int = Field(40, ge=8)
-    """Side of image cells that get a feature whenever they hold none, whatever the number."""
-    focus_features: int = Field(150, ge=0, le=2000)
+    fine_columns: int = Field(32, ge=4, le=256)
+    """Columns of fine cells over the image; each gets a feature whenever it holds none."""
+    focus_features: int = Field(300, ge=0, le=2000)
     """Further features where something seems to move, beside those above."""
-    focus_distance_px: float = Field(7.0, ge=2.0)
+    focus_per_cell: int = Field(12, ge=1)
+    """Features there in a fine cell: a near body shall not take them all."""
+    focus_distance_px: float = Field(5.0, ge=2.0)
     """Distance that these keep from each other."""
     focus_width_m: float = Field(3.0, gt=0.0)
     """Width of the surroundings of a moving point in which they are sought."""
@@ -272,6 +274,8 @@ class ObjectSettings(Section):
     """Points farther than this belong to no body."""
     max_points: int = Field(240, ge=10)
     """Points that are looked at in a frame; those followed longest come first."""
+    points_per_track: int = Field(40, ge=3)
+    """Of these, points of one track."""
     neighbour_radius_m: float = Field(1.8, gt=0.0)
     """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
     body_width_m: float = Field(2.7, gt=0.0)

@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from ovmot.config import TrackerSettings
-from ovmot.frontend.corners import detect_corners
+from ovmot.frontend.corners import Spread, choose_corners, even_spread, fast_corners
 from ovmot.geometry.arrays import FloatArray, Image
 
-SETTINGS = TrackerSettings(
-    max_features=80, min_distance_px=10.0, fast_threshold=15, grid_cell_px=64
-)
-MOST_IN_A_CELL = 2 * 80 // 32  # 8x4 cells of 64 px; a cell may fill up to twice its share
+MOST_IN_A_CELL = 5
+SPREAD = Spread(distance_px=10.0, cell_px=64, per_cell=MOST_IN_A_CELL)
 NOTHING: FloatArray = np.empty((0, 2))
 
 
@@ -26,6 +23,12 @@ def dots() -> Image:
     return image + rng.integers(0, 6, image.shape).astype(np.uint8)
 
 
+def detect(image: Image, existing: FloatArray, n_wanted: int) -> FloatArray:
+    """New corners (M, 2) of an image."""
+    points, response = fast_corners(image, 15)
+    return choose_corners(points, response, existing, n_wanted, SPREAD, image.shape)
+
+
 def nearest(points: FloatArray, others: FloatArray) -> FloatArray:
     """Distance (N,) from each of `points` (N, 2) to the nearest of `others`, itself apart."""
     apart = np.linalg.norm(points[:, None] - others[None], axis=-1)
@@ -38,19 +41,24 @@ def test_a_corner_is_found_at_each_dot_and_nowhere_else() -> None:
     dots = np.array([[20, 20], [70, 30], [40, 60], [100, 70], [30, 105], [90, 110]])
     for u, v in dots:
         image[v - 3 : v + 4, u - 3 : u + 4] += 150
-    found = detect_corners(image, NOTHING, 50, SETTINGS)
+    found = detect(image, NOTHING, 50)
     assert nearest(dots + 0.1, found).max() <= 6.0
     assert nearest(found, dots + 0.1).max() <= 6.0
 
 
 def test_corners_keep_apart(dots: Image) -> None:
-    found = detect_corners(dots, NOTHING, 500, SETTINGS)
+    found = detect(dots, NOTHING, 500)
     assert len(found) > 40
     assert nearest(found, found).min() >= 10.0
 
 
-def test_no_cell_gets_more_than_twice_its_share(dots: Image) -> None:
-    found = detect_corners(dots, NOTHING, 500, SETTINGS)
+def test_an_even_spread_gives_a_cell_twice_its_share() -> None:
+    # 8x4 cells of 64 px
+    assert even_spread(80, 10.0, 64, (256, 512)) == SPREAD
+
+
+def test_no_cell_gets_more_than_it_may_hold(dots: Image) -> None:
+    found = detect(dots, NOTHING, 500)
     count = np.zeros((4, 8), dtype=int)
     np.add.at(count, ((found[:, 1] // 64).astype(int), (found[:, 0] // 64).astype(int)), 1)
     assert count.max() == MOST_IN_A_CELL
@@ -59,15 +67,15 @@ def test_no_cell_gets_more_than_twice_its_share(dots: Image) -> None:
 
 
 def test_no_more_than_wanted_the_strongest_first(dots: Image) -> None:
-    assert len(detect_corners(dots, NOTHING, 7, SETTINGS)) == 7
-    assert (detect_corners(dots, NOTHING, 7, SETTINGS)[:, 0] < 256).all()
-    assert detect_corners(dots, NOTHING, 0, SETTINGS).shape == (0, 2)
-    assert detect_corners(dots, NOTHING, -3, SETTINGS).shape == (0, 2)
+    assert len(detect(dots, NOTHING, 7)) == 7
+    assert (detect(dots, NOTHING, 7)[:, 0] < 256).all()
+    assert detect(dots, NOTHING, 0).shape == (0, 2)
+    assert detect(dots, NOTHING, -3).shape == (0, 2)
 
 
 def test_existing_points_are_left_room(dots: Image) -> None:
-    existing = detect_corners(dots, NOTHING, 25, SETTINGS) + 0.4
-    added = detect_corners(dots, existing, 500, SETTINGS)
+    existing = detect(dots, NOTHING, 25) + 0.4
+    added = detect(dots, existing, 500)
     assert len(added) > 10
     assert nearest(added, existing).min() >= 10.0
     both = np.concatenate([existing, added])
@@ -79,21 +87,21 @@ def test_existing_points_are_left_room(dots: Image) -> None:
 def test_a_full_cell_gets_none(dots: Image) -> None:
     full = np.array([[10.0, 10.0], [10.0, 30.0], [10.0, 50.0], [30.0, 10.0], [50.0, 10.0]])
     assert len(full) == MOST_IN_A_CELL
-    assert np.any((detect_corners(dots, full[:4], 500, SETTINGS) < 64).all(1))
-    added = detect_corners(dots, full, 500, SETTINGS)
+    assert np.any((detect(dots, full[:4], 500) < 64).all(1))
+    added = detect(dots, full, 500)
     assert not np.any((added < 64).all(1))
 
 
 def test_a_blank_image_has_no_corners() -> None:
     blank = np.full((128, 128), 90, dtype=np.uint8)
-    assert detect_corners(blank, NOTHING, 50, SETTINGS).shape == (0, 2)
+    assert detect(blank, NOTHING, 50).shape == (0, 2)
 
 
 def test_corners_at_the_rim_are_not_taken(dots: Image) -> None:
     rim = np.full((128, 128), 50, dtype=np.uint8)
     rim[:5, :5] = 200
-    assert len(detect_corners(rim, NOTHING, 50, SETTINGS)) == 0
-    found = detect_corners(dots, NOTHING, 500, SETTINGS)
+    assert len(detect(rim, NOTHING, 50)) == 0
+    found = detect(dots, NOTHING, 500)
     assert found.min() >= 8.0
     assert found[:, 0].max() < 504.0
     assert found[:, 1].max() < 248.0

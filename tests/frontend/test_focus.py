@@ -4,14 +4,14 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
-from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
+from ovmot.frontend.focus import focus_mask
 from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry.arrays import Image
 from ovmot.types import StereoFrame
 
 SETTINGS = TrackerSettings(
     max_features=40, min_distance_px=14.0, fast_threshold=12, equalization="none",
-    focus_features=60, focus_distance_px=5.0, covered_cell_px=40,
+    focus_features=60, focus_distance_px=5.0, fine_columns=8,
 )  # fmt: skip
 
 
@@ -33,11 +33,6 @@ def test_the_mask_holds_small_circles_alone() -> None:
     assert mask[50, 115] > 0 and mask[50, 125] == 0
     assert mask[150, 200] == 0  # what is near has features enough
     assert focus_mask((240, 320), np.array([[9.0, 9.0]]), np.array([80.0])) is None
-
-
-def test_settings_of_the_passes() -> None:
-    assert dense_settings(SETTINGS).min_distance_px == 5.0
-    assert sparse_settings(SETTINGS).grid_cell_px == 40
 
 
 def test_more_features_where_something_may_move(painted_rig: StereoRig) -> None:

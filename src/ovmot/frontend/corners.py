@@ -1,32 +1,32 @@
 """New corners: FAST over the whole image, spread by a grid."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ovmot.config import TrackerSettings
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 
 _BORDER_PX = 8
 _CELL_EXCESS = 2  # times its even share that a cell may fill: sky leaves others empty
 
 
-def detect_corners(
-    image: Image,
-    existing: FloatArray,
-    n_wanted: int,
-    settings: TrackerSettings,
-    mask: Image | None = None,
-) -> FloatArray:
-    """Up to `n_wanted` new corners (M, 2), strongest first, away from `existing` (N, 2).
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How corners lie over an image: `distance_px` apart, `per_cell` at most in a square cell of
+    side `cell_px`."""
 
-    Each grid cell may fill up to twice its even share of `max_features`; no two corners come nearer
-    than `min_distance_px`. None where `mask` is not zero.
-    """
-    if n_wanted <= 0:
-        return np.empty((0, 2))
-    points, response = fast_corners(image, settings.fast_threshold, mask)
-    return choose_corners(points, response, existing, n_wanted, settings, image.shape)
+    distance_px: float
+    cell_px: int
+    per_cell: int
+
+
+def even_spread(n_most: int, distance_px: float, cell_px: int, shape: tuple[int, ...]) -> Spread:
+    """At most twice the even share of `n_most` corners in each cell of an image of this shape."""
+    height, width = shape[:2]
+    cells = -(-width // cell_px) * -(-height // cell_px)
+    return Spread(distance_px, cell_px, -(-_CELL_EXCESS * n_most // cells))
 
 
 def fast_corners(
@@ -55,15 +55,18 @@ def choose_corners(
     response: FloatArray,
     existing: FloatArray,
     n_wanted: int,
-    settings: TrackerSettings,
+    spread: Spread,
     shape: tuple[int, ...],
 ) -> FloatArray:
-    """Of corners (M, 2), at most `n_wanted` strong ones, spread as `detect_corners` says."""
+    """Of corners (M, 2), up to `n_wanted` (K, 2), the strongest first.
+
+    They are spread, together with the `existing` ones (N, 2), as is asked for.
+    """
     if n_wanted <= 0 or len(points) == 0:
         return np.empty((0, 2))
     height, width = shape[:2]
-    points = _best_of_each_bin(points, response, settings.min_distance_px, width)
-    return _spread(points, existing, n_wanted, (width, height), settings)
+    points = _best_of_each_bin(points, response, spread.distance_px, width)
+    return _spread(points, existing, n_wanted, (width, height), spread)
 
 
 def _best_of_each_bin(
@@ -83,14 +86,14 @@ def _spread(
     existing: FloatArray,
     n_wanted: int,
     size: tuple[int, int],
-    settings: TrackerSettings,
+    spread: Spread,
 ) -> FloatArray:
     """Take corners in order while their cell has room and no taken one is too near."""
-    distance = settings.min_distance_px
+    distance = spread.distance_px
     if len(existing):
         apart, _ = cKDTree(existing).query(points)
         points = points[apart >= distance]
-    cells, room = _cells_and_room(points, existing, size, settings)
+    cells, room = _cells_and_room(points, existing, size, spread)
     taken: dict[tuple[int, int], FloatArray] = {}  # by bin of side `distance`: one in each
     for point, cell in zip(points, cells, strict=True):
         if len(taken) == n_wanted:
@@ -103,10 +106,10 @@ def _spread(
 
 
 def _cells_and_room(
-    points: FloatArray, existing: FloatArray, size: tuple[int, int], settings: TrackerSettings
+    points: FloatArray, existing: FloatArray, size: tuple[int, int], spread: Spread
 ) -> tuple[IntArray, IntArray]:
     """Grid cell (N,) of each point, and how many corners each cell may still take."""
-    side = settings.grid_cell_px
+    side = spread.cell_px
     columns, rows = -(-size[0] // side), -(-size[1] // side)
 
     def cell_of(uv: FloatArray) -> IntArray:
@@ -114,9 +117,8 @@ def _cells_and_room(
         row = np.clip(uv[:, 1].astype(np.int64) // side, 0, rows - 1)
         return row * columns + column
 
-    share = -(-_CELL_EXCESS * settings.max_features // (columns * rows))
     filled = np.bincount(cell_of(existing), minlength=rows * columns)
-    return cell_of(points), share - filled
+    return cell_of(points), spread.per_cell - filled
 
 
 def _is_free(

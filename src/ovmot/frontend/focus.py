@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from ovmot.config import TrackerSettings
 from ovmot.geometry.arrays import FloatArray, Image
 
 _LEAST_RADIUS_PX = 8.0
@@ -24,18 +23,3 @@ def focus_mask(shape: tuple[int, ...], uv: FloatArray, radius_px: FloatArray) ->
     for (u, v), radius in zip(centers, radii, strict=True):
         cv2.circle(mask, (u, v), radius, 255, cv2.FILLED)
     return mask
-
-
-def dense_settings(settings: TrackerSettings) -> TrackerSettings:
-    """Settings by which corners are chosen there: nearer to each other, any number a cell."""
-    return settings.model_copy(
-        update={"min_distance_px": settings.focus_distance_px, "max_features": 100_000}
-    )
-
-
-def sparse_settings(settings: TrackerSettings) -> TrackerSettings:
-    """The settings by which every empty cell gets a corner, and no other one does.
-
-    So a body that covers what was followed is followed itself, though there are enough elsewhere.
-    """
-    return settings.model_copy(update={"max_features": 1, "grid_cell_px": settings.covered_cell_px})

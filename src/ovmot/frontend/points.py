@@ -7,9 +7,9 @@ import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.config import TrackerSettings
-from ovmot.frontend.corners import choose_corners, fast_corners
+from ovmot.frontend.corners import Spread, choose_corners, even_spread, fast_corners
 from ovmot.frontend.flow import follow, follow_lost
-from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
+from ovmot.frontend.focus import focus_mask
 from ovmot.frontend.patches import cut_patches, followed, no_patches
 from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
 from ovmot.frontend.two_view import two_view_inliers
@@ -156,21 +156,20 @@ class PointFollower:
         focus = focus_mask(shape, *self._focus)
         corners, response = fast_corners(view.image, settings.fast_threshold, view.mask)
         within, has = is_masked(corners, focus), is_masked(existing, focus)
-        taken, resting = existing, int((~has).sum())
-        for n_most, chosen in (
-            (settings.max_features - resting, settings),
-            (_UNLIMITED, sparse_settings(settings)),
+        cell_px = -(-shape[1] // settings.fine_columns)
+        distance_px = settings.min_distance_px
+        even = even_spread(settings.max_features, distance_px, settings.grid_cell_px, shape)
+        dense = Spread(settings.focus_distance_px, cell_px, settings.focus_per_cell)
+        taken = existing
+        for n_most, chosen, spread in (
+            (settings.max_features - int((~has).sum()), ~within, even),
+            # what covers that which was followed is followed itself, though there are enough
+            (_UNLIMITED, ~within, Spread(distance_px, cell_px, 1)),
+            (settings.focus_features - int(has.sum()), within, dense),
         ):
-            new = choose_corners(
-                corners[~within], response[~within], taken,
-                n_most - (len(taken) - len(existing)), chosen, shape,
-            )  # fmt: skip
+            new = choose_corners(corners[chosen], response[chosen], taken, n_most, spread, shape)
             taken = np.concatenate([taken, new])
-        n_most = settings.focus_features - int(has.sum())
-        new = choose_corners(
-            corners[within], response[within], taken, n_most, dense_settings(settings), shape
-        )
-        return np.concatenate([taken, new])[len(existing) :]
+        return taken[len(existing) :]
 
 
 def no_points() -> CameraPoints:
