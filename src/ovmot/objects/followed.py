@@ -17,6 +17,7 @@ _MOST_FEATURES = 24  # of one body: more tell little more
 _AGREE_SIGMAS = 3.0
 _MEMORY_S = 0.8
 _SHORTEST_S = 0.05
+_ACCEL_SIGMA = 2.0  # m/s²: how much a road user's velocity changes
 _SPEED_SPREAD = 0.2  # m/s by which features of one body may differ
 _CHOSEN_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _LEAST_REACH_MPS, _SPEED_REACH = 1.0, 0.3  # how far off a joining feature's velocity may be
@@ -25,14 +26,19 @@ _BETTER_THAN_REST = 9.0  # squared sigmas by which a body's motion must explain 
 
 @dataclass(frozen=True, slots=True)
 class FeatureMotions:
-    """N features now: ids, positions in world and their covariance (N, 3, 3), and the mean velocity
-    (N, 3) since each was first remembered with its covariance (N, 3, 3); NaN where not known."""
+    """N features now: ids, positions in world and their covariance (N, 3, 3), and the velocity
+    (N, 3) of each with its covariance (N, 3, 3); NaN where not known.
+
+    `change` (N,): the part of its variance, in any direction, that a change of velocity on the way
+    makes. Features of one body have that in common.
+    """
 
     feature_id: IntArray
     p_world: FloatArray
     position_cov: FloatArray
     velocity: FloatArray
     velocity_cov: FloatArray
+    change: FloatArray
 
     @property
     def known(self) -> BoolArray:
@@ -63,7 +69,12 @@ class Sightings:
         self._covariance = np.empty((0, 0, 3, 3))
         nothing = np.empty((0, 3))
         self.last = FeatureMotions(
-            self._feature_id, nothing, np.empty((0, 3, 3)), nothing, np.empty((0, 3, 3))
+            self._feature_id,
+            nothing,
+            np.empty((0, 3, 3)),
+            nothing,
+            np.empty((0, 3, 3)),
+            np.empty(0),
         )
 
     def add(self, timestamp_ns: int, seen: ScenePoints, T_world_cam0: FloatArray) -> FeatureMotions:
@@ -88,21 +99,26 @@ class Sightings:
         return self.last
 
     def _motions(self) -> FeatureMotions:
-        """From the oldest place that is remembered of each feature to the present one."""
+        """From that earlier place of each feature to the present one which tells most.
+
+        The longer the way, the less its noise matters, and the more a change of velocity does.
+        """
         n = len(self._feature_id)
         age_s = 1e-9 * (self._stamps[-1] - self._stamps)
         then = np.isfinite(self._p_world[..., 0]) & (age_s > _SHORTEST_S)[:, None]
-        oldest, some = np.argmax(then, axis=0), then.any(axis=0)
-        dt = np.where(some, age_s[oldest], np.nan)
-        columns = np.arange(n)
-        moved = self._p_world[-1] - self._p_world[oldest, columns]
-        spread = self._covariance[-1] + self._covariance[oldest, columns]
+        dt = np.where(then, age_s[:, None], np.nan)
+        spread = (self._covariance[-1] + self._covariance) / dt[..., None, None] ** 2
+        changed = (0.5 * _ACCEL_SIGMA * dt) ** 2
+        told = np.where(then, np.trace(spread, axis1=2, axis2=3) + 3.0 * changed, np.inf)
+        row, columns = np.argmin(told, axis=0), np.arange(n)
+        moved = self._p_world[-1] - self._p_world[row, columns]
         return FeatureMotions(
             self._feature_id,
             self._p_world[-1],
             self._covariance[-1],
-            moved / dt[:, None],
-            spread / dt[:, None, None] ** 2,
+            moved / dt[row, columns, None],
+            spread[row, columns] + changed[row, columns, None, None] * np.eye(3),
+            changed[row, columns],
         )
 
 
@@ -133,11 +149,8 @@ def join(
     index = np.flatnonzero(near & motions.known)
     if len(index) == 0:
         return joins
-    C = motions.velocity_cov[index] + _SPEED_SPREAD**2 * np.eye(3)
+    at_rest, with_body = rest_or_body(motions, index, velocity, velocity_cov)
     off = motions.velocity[index] - velocity
-    with_body = (off * np.linalg.solve(C + velocity_cov, off[..., None])[..., 0]).sum(-1)
-    v = motions.velocity[index]
-    at_rest = (v * np.linalg.solve(C, v[..., None])[..., 0]).sum(-1)
     # an unsure body would take up anything around it
     near_speed = np.linalg.norm(off, axis=1) < np.maximum(
         _LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity))
@@ -145,6 +158,22 @@ def join(
     alike = (with_body < _CHOSEN_GATE) & near_speed
     joins[index] = alike & (at_rest > with_body + _BETTER_THAN_REST)
     return joins
+
+
+def rest_or_body(
+    motions: FeatureMotions, index: IntArray, velocity: FloatArray, velocity_cov: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Squared sigmas (K,) by which features (K,) miss rest, and a body's motion; NaN if unknown.
+
+    `velocity` (3,) of the body with its covariance (3, 3).
+    """
+    C = motions.velocity_cov[index] + _SPEED_SPREAD**2 * np.eye(3)
+    v = motions.velocity[index]
+    off = v - velocity
+    at_rest: FloatArray = (v * np.linalg.solve(C, v[..., None])[..., 0]).sum(-1)
+    spread = C + velocity_cov
+    with_body: FloatArray = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(-1)
+    return at_rest, with_body
 
 
 def body_of(motions: FeatureMotions, own: BoolArray) -> FollowedBody:
@@ -159,7 +188,7 @@ def _as_one(motions: FeatureMotions, index: IntArray, strayed: IntArray) -> Foll
     points = motions.p_world[index]
     P = np.zeros((6, 6))
     P[:3, :3] = motions.position_cov[index].mean(0) / len(index) + 0.01 * np.eye(3)
-    P[3:, 3:] = P_v + 0.01 * np.eye(3)
+    P[3:, 3:] = P_v + motions.change[index].mean() * np.eye(3)
     return FollowedBody(0.5 * (points.min(axis=0) + points.max(axis=0)), mean, P, strayed)
 
 

@@ -14,9 +14,10 @@ from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
+from ovmot.objects.point_labels import label_points, moving_ids
 from ovmot.objects.region import inside
 from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gap, measured, start_track
-from ovmot.types import ObjectTrack, PointLabel, ScenePoints
+from ovmot.types import ObjectTrack, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
@@ -25,8 +26,10 @@ _ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _MAX_ACCEL, _SIGMAS = 8.0, 3.0  # m/s²: a car on its brakes
 _MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
 _LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
+_FEW_OF_MANY = 0.1
+_GAP_M = 2.5  # without features, between two ends of a lorry
+_BODY_WIDTH_M = 2.7
 _WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
-_MOVING_MPS = 1.0  # a track's speed from which its points are said to move
 
 
 class ObjectTracker:
@@ -38,6 +41,7 @@ class ObjectTracker:
         self._tracks: tuple[Track, ...] = ()
         self._sightings = Sightings()
         self._next_id = 0
+        self._moved = np.empty(0, dtype=np.int64)
 
     def step(
         self,
@@ -81,7 +85,9 @@ class ObjectTracker:
             _as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
             for t in self._tracks
         )
-        return shown, _labelled(seen, owner, self._tracks)
+        points = label_points(seen, owner, self._tracks, motions, self._moved)
+        self._moved = moving_ids(seen)
+        return shown, points
 
     def owned(self, seen: ScenePoints) -> ScenePoints:
         """The points of a new frame with the tracks that their features had until now.
@@ -224,9 +230,16 @@ def _merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Tra
             young = track.hits <= settings.confirm_hits + settings.merge_frames
             state = TrackState.TENTATIVE if young else track.state
             out.append(replace(track, state=state, overlaps=track.overlaps + 1))
-        elif len(track.feature_id) > len(out[over].feature_id):
-            out[over] = replace(track, track_id=out[over].track_id, overlaps=0)
+        else:
+            out[over] = _united(out[over], track)
     return tuple(out)
+
+
+def _united(track: Track, other: Track) -> Track:
+    """A track and a younger one of the same body: as the one of more features knows it."""
+    ids = np.union1d(track.feature_id, other.feature_id)
+    known = track if len(track.feature_id) >= len(other.feature_id) else other
+    return replace(known, track_id=track.track_id, feature_id=ids, overlaps=0)
 
 
 def _same_body(track: Track, other: Track) -> bool:
@@ -240,6 +253,7 @@ def _same_body(track: Track, other: Track) -> bool:
     near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
     drive = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
     near |= drive and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
+    near |= drive and _is_piece(track, other, along, across)
     return bool(near and _goes_like(track, other))
 
 
@@ -250,6 +264,14 @@ def _goes_like(track: Track, other: Track) -> bool:
     C = P + _SPEED_SPREAD**2 * np.eye(3)
     alike = dv @ np.linalg.solve(C, dv) < _ALIKE_GATE
     return bool(alike and np.linalg.norm(dv) < _SAME_SPEED_MPS)
+
+
+def _is_piece(track: Track, other: Track, along: float, across: float) -> bool:
+    """Can a track of few features be the far end of one that has many?"""
+    few = len(track.feature_id) < _FEW_OF_MANY * len(other.feature_id)
+    gap = along - 0.5 * (track.size[0] + other.size[0])
+    width = across + 0.5 * (track.size[1] + other.size[1])
+    return bool(few and gap < _GAP_M and width < _BODY_WIDTH_M)
 
 
 def _is_within(track: Track, other: Track) -> bool:
@@ -272,18 +294,6 @@ def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
         if track.state != TrackState.COASTING:
             owner[np.isin(feature_id, track.feature_id)] = track.track_id
     return owner
-
-
-def _labelled(seen: ScenePoints, owner: IntArray, tracks: Sequence[Track]) -> ScenePoints:
-    """The points with their tracks; unknown ones of moving confirmed tracks are dynamic."""
-    moving = [
-        track.track_id
-        for track in tracks
-        if track.state == TrackState.CONFIRMED and np.linalg.norm(track.velocity) > _MOVING_MPS
-    ]
-    joins = (seen.label == int(PointLabel.UNKNOWN)) & np.isin(owner, moving)
-    label = np.where(joins, int(PointLabel.DYNAMIC), seen.label)
-    return replace(seen, track_id=owner, label=label)
 
 
 def _as_result(

@@ -1,0 +1,55 @@
+"""What the tracks say of the points: one that belongs to a body does what the body does."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, IntArray
+from ovmot.objects.followed import FeatureMotions, rest_or_body
+from ovmot.objects.motion_models import VELOCITY
+from ovmot.objects.track import Track, TrackState
+from ovmot.types import PointLabel, ScenePoints
+
+_MOVING_MPS = 1.0  # a body's speed from which its points are said to move
+_CLEAR = 9.0  # squared sigmas by which rest must explain a point of it better
+
+
+def label_points(
+    seen: ScenePoints,
+    owner: IntArray,
+    tracks: Sequence[Track],
+    motions: FeatureMotions,
+    before: IntArray,
+) -> ScenePoints:
+    """The N points with the ids of their tracks, `owner` (N,), -1 for none.
+
+    Those of a confirmed track are dynamic or static as the track is, but for points which clearly
+    rest beside one that moves. A point of no track that moves must have done so `before` (ids of
+    the last frame): else it is unknown, for one wrong match looks like that.
+    """
+    label = seen.label.copy()
+    new = (owner < 0) & (label == int(PointLabel.DYNAMIC)) & ~np.isin(seen.feature_id, before)
+    label[new] = int(PointLabel.UNKNOWN)
+    for track in tracks:
+        if track.state == TrackState.CONFIRMED:
+            own = owner == track.track_id
+            label[own] = np.where(
+                _moves_with(track, own, motions), int(PointLabel.DYNAMIC), int(PointLabel.STATIC)
+            )
+    return replace(seen, track_id=owner, label=label)
+
+
+def moving_ids(seen: ScenePoints) -> IntArray:
+    """Ids of the points that the split found moving."""
+    return seen.feature_id[seen.label == int(PointLabel.DYNAMIC)]
+
+
+def _moves_with(track: Track, own: BoolArray, motions: FeatureMotions) -> BoolArray:
+    """Which of a track's own points move as it does."""
+    if np.linalg.norm(track.velocity) < _MOVING_MPS:
+        return np.zeros(int(own.sum()), dtype=np.bool_)
+    P = track.filter.best.covariance[VELOCITY, VELOCITY]
+    at_rest, with_body = rest_or_body(motions, np.flatnonzero(own), track.velocity, P)
+    rests: BoolArray = at_rest + _CLEAR < with_body
+    return ~rests
