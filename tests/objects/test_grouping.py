@@ -54,7 +54,8 @@ def test_velocities_of_points_are_consistent(
     e = history.velocity - R.T @ np.array(velocity)
     distance = (e * np.linalg.solve(history.velocity_cov, e[..., None])[..., 0]).sum(-1)
     assert len(history.feature_id) >= 58
-    assert np.mean(distance) < 4.0  # accelerations are forgiven, so that less than 3 is right
+    # 3 would be right; all rows have the present sighting in common, which is not told
+    assert 1.5 < np.mean(distance) < 5.0
 
 
 def test_apart_in_place_or_in_motion(history_of: Callable[..., MotionHistory]) -> None:

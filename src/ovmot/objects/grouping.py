@@ -26,6 +26,10 @@ _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
 _NEIGHBOURS = 5  # nearest ones among which two must be to be linked
 _FORGIVEN_ACCEL = 1.5  # m/s² that points of a body may have, also as it turns
+_KNOWN_REACH = 2.0  # of the radius, between parts of one track
+_WIDTH_SIGMAS = 4.0  # by which points of one body may scatter beyond it
+_LEAST_GAP_M = 0.5  # between two vehicles side by side
+_BRAKING_S = 0.45  # over which one velocity explains also a car on its brakes
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
@@ -76,10 +80,9 @@ def motion_history(
     candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
     if len(candidate) < settings.min_points:
         return None
-    if len(candidate) > settings.max_points:
-        known = np.isfinite(history.then[:, candidate]).all(-1).sum(0)
-        longest = np.argsort(-known, kind="stable")[: settings.max_points]
-        candidate = np.sort(candidate[longest])
+    known = np.isfinite(history.then[:, candidate]).all(-1).sum(0)
+    u, owner = points.pixels[candidate, 0], points.track_id[candidate]
+    candidate = candidate[_chosen(known, u, owner, settings)]
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
     comparison = compare(
         history,
@@ -88,9 +91,10 @@ def motion_history(
         settings.pixel_sigma,
         Slide(settings.slide_per_hop_px, settings.slide_per_flow),
     )
-    W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
-    velocity, covariance, cost = fit_velocity(comparison, W)
-    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
+    velocity, covariance, steady = _fit(comparison)
+    if not steady.all():
+        comparison = _shortened(comparison, ~steady)
+        velocity, covariance, steady = _fit(comparison)
     distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
     kept = np.flatnonzero(steady & (distance > _MOVES))
     if len(kept) < settings.min_points:
@@ -112,6 +116,40 @@ def motion_history(
         velocity_cov=covariance[kept],
         up=(window.T_world_imu[-1] @ rig.T_imu_cam0)[2, :3],
     )
+
+
+def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSettings) -> IntArray:
+    """Which of the points (N,) to look at, seen in `known` rows at image columns `u`.
+
+    Of a track as many as tell enough, from all over it, or a large body would leave none for the
+    others; then those followed longest.
+    """
+    looked_at = np.ones(len(owner), dtype=np.bool_)
+    for track_id in np.unique(owner[owner >= 0]):
+        own = np.flatnonzero((owner == track_id) & (known > 1))
+        if len(own) > settings.points_per_track:
+            across = own[np.argsort(u[own], kind="stable")]
+            looked_at[own] = False
+            looked_at[across[:: -(-len(own) // settings.points_per_track)]] = True
+    some = np.flatnonzero(looked_at)
+    longest = np.argsort(-known[some], kind="stable")[: settings.max_points]
+    return np.sort(some[longest])
+
+
+def _fit(comparison: Comparison) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Velocity (M, 3), its covariance (M, 3, 3), and whether it explains all rows (M,)."""
+    W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
+    velocity, covariance, cost = fit_velocity(comparison, W)
+    freedom = np.maximum(4 * comparison.tested.sum(0) - 3, 1)
+    return velocity, covariance, cost < _FIT_SLACK * chdtri(freedom, 0.001)
+
+
+def _shortened(comparison: Comparison, which: BoolArray) -> Comparison:
+    """Some points (M,) by their last rows alone: a car that brakes was faster before."""
+    old = comparison.span_s > _BRAKING_S
+    residual = comparison.residual.copy()
+    residual[np.ix_(old, which)] = np.nan
+    return replace(comparison, residual=residual)
 
 
 def _history(
@@ -211,7 +249,9 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, component = connected_components(graph, directed=False)
     several = np.flatnonzero(np.bincount(component) > 1)
-    pieces = sorted((np.flatnonzero(component == k) for k in several), key=len, reverse=True)
+    found = [np.flatnonzero(component == k) for k in several]
+    cut = [piece for whole in found for piece in _cut_where_wide(points, whole, settings)]
+    pieces = sorted(cut, key=len, reverse=True)
     joined: list[IntArray] = []
     for piece in pieces:
         for k, whole in enumerate(joined):
@@ -223,6 +263,32 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     return tuple(group for group in joined if len(group) >= settings.min_points)
 
 
+def _cut_where_wide(
+    points: MotionHistory, index: IntArray, settings: ObjectSettings
+) -> list[IntArray]:
+    """A component (n,), or the pieces of one that is wider than a body, cut at the widest gap.
+
+    Vehicles that start side by side move alike and are linked over the gap between them.
+    """
+    place, sigma = _across(points, index)
+    order = np.argsort(place)
+    gaps = np.diff(place[order])
+    wide = np.ptp(place) - _WIDTH_SIGMAS * sigma > settings.body_width_m
+    if not wide or gaps.max() < _LEAST_GAP_M + _REACH_SIGMAS * sigma:
+        return [index]
+    cut = int(np.argmax(gaps)) + 1
+    parts = index[order[:cut]], index[order[cut:]]
+    return [piece for part in parts for piece in _cut_where_wide(points, part, settings)]
+
+
+def _across(points: MotionHistory, index: IntArray) -> tuple[FloatArray, float]:
+    """Places of points (n,) across their common velocity, level, and their deviation, metres."""
+    across = np.cross(points.up, np.median(points.velocity[index], axis=0))
+    across = across / max(float(np.linalg.norm(across)), 1e-9)
+    variance = np.median((points.cov_cam0[index] @ across) @ across)
+    return points.p_cam0[index] @ across, float(np.sqrt(variance))
+
+
 def _are_one(
     points: MotionHistory,
     scaled: FloatArray,
@@ -231,10 +297,12 @@ def _are_one(
     settings: ObjectSettings,
 ) -> bool:
     """Do two groups touch, move alike, and together measure no more across than a body?"""
-    if not may_be_one(main_owner(points.owner[whole]), main_owner(points.owner[piece])):
+    owner, other = main_owner(points.owner[whole]), main_owner(points.owner[piece])
+    if not may_be_one(owner, other):
         return False
     apart = np.linalg.norm(scaled[whole][:, None] - scaled[piece][None], axis=-1).min()
-    if apart > settings.neighbour_radius_m:
+    known = owner == other >= 0  # of one track: a lorry's far end
+    if apart > settings.neighbour_radius_m * (_KNOWN_REACH if known else 1.0):
         return False
     v_whole, v_piece = (np.median(points.velocity[index], axis=0) for index in (whole, piece))
     spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_whole))
@@ -244,12 +312,8 @@ def _are_one(
     dv = v_whole - v_piece
     if dv @ np.linalg.solve(C, dv) > _GATE:
         return False
-    across = np.cross(points.up, v_whole)
-    across = across / max(float(np.linalg.norm(across)), 1e-9)
-    both = np.concatenate([whole, piece])
-    along = points.p_cam0[both] @ across
-    sigma = np.sqrt(np.median((points.cov_cam0[both] @ across) @ across))
-    return bool(np.ptp(along) - 2.0 * sigma < settings.body_width_m)
+    place, sigma = _across(points, np.concatenate([whole, piece]))
+    return bool(np.ptp(place) - 2.0 * sigma < settings.body_width_m)
 
 
 def _may_be_linked(owners: IntArray) -> BoolArray:
