@@ -8,7 +8,7 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.config import TrackerSettings
 from ovmot.frontend.corners import choose_corners, fast_corners
-from ovmot.frontend.flow import follow, follow_lost
+from ovmot.frontend.flow import Pyramid, follow, follow_lost
 from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
 from ovmot.frontend.patches import cut_patches, followed, no_patches
 from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
@@ -22,10 +22,11 @@ _UNLIMITED = 100_000
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What one camera sees: its equalised image, the same `smooth` for the alignment of patches,
-    its mask if any, and its present calibration."""
+    """What one camera sees: its equalised image, the same as a `pyramid` for the flow and `smooth`
+    for the alignment of patches, its mask if any, and its present calibration."""
 
     image: Image
+    pyramid: Pyramid
     smooth: Image
     mask: Image | None
     camera: Camera
@@ -75,7 +76,7 @@ class PointFollower:
         self._settings = settings
         self._workers = workers
         self._ids = ids
-        self._image: Image | None = None
+        self._pyramid: Pyramid | None = None
         self._focus = (np.empty((0, 2)), np.empty(0))
         self.points = no_points()
         self.patches = no_patches()
@@ -97,7 +98,7 @@ class PointFollower:
         self.points = self._with_corners(view, points)
         new = cut_patches(view.smooth, self.points.uv[len(points) :])
         self.patches = self.patches.joined(new)
-        self._image = view.image
+        self._pyramid = view.pyramid
         return self.points
 
     def _followed(
@@ -105,13 +106,13 @@ class PointFollower:
     ) -> CameraPoints:
         """The last image's points in this one; those lost are gone."""
         old, camera = self.points, view.camera
-        if self._image is None:
+        if self._pyramid is None:
             return old
         at_rest, _ = predict_pixels(old.xy, p_before, T_now_before, camera)
         start, depth = predict_pixels(old.xy, p_moved, T_now_before, camera)
         moves = np.isfinite(p_moved[:, 0]) & (p_moved != p_before).any(axis=1)
         start = np.where(moves[:, None], start, at_rest + old.extra_flow)
-        pictures = self._image, view.image, old.uv
+        pictures = self._pyramid, view.pyramid, old.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)
         # not again where the first look began
