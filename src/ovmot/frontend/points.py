@@ -4,6 +4,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ovmot.cameras.camera import Camera
 from ovmot.config import TrackerSettings
@@ -27,7 +28,7 @@ class View:
 
     image: Image
     pyramid: Pyramid
-    smooth: Image
+    smooth: npt.NDArray[np.float32]
     mask: Image | None
     camera: Camera
 
@@ -119,19 +120,21 @@ class PointFollower:
         elsewhere = np.where((start != at_rest).any(axis=1)[:, None], at_rest, np.nan)
         again = np.stack([nearby, elsewhere])
         flow = follow_lost(*pictures, flow, again, at_rest, self._settings, self._workers)
-        uv, patches = followed(self.patches, view.smooth, flow.uv, self._workers)
+        rows = np.flatnonzero(flow.found & view.shows(flow.uv))
+        patches = self.patches.rows(rows)
+        uv, patches = followed(patches, view.smooth, flow.uv[rows], self._workers)
         xy = camera.normalize(uv)
-        ok = flow.found & view.shows(uv) & np.isfinite(xy[:, 0])
+        ok = view.shows(uv) & np.isfinite(xy[:, 0])
+        rows, uv, xy, self.patches = rows[ok], uv[ok], xy[ok], patches.rows(ok)
         threshold = self._settings.two_view_threshold_px / camera.fx
-        inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
-        self.patches = patches.rows(ok)
+        inlier = two_view_inliers(old.xy[rows], xy, threshold)
         return CameraPoints(
-            feature_id=old.feature_id[ok],
-            uv=uv[ok],
-            xy=xy[ok],
-            hops=old.hops[ok] + 1,
-            depth=depth[ok],
-            extra_flow=unexplained_flow(uv[ok], at_rest[ok], inlier),
+            feature_id=old.feature_id[rows],
+            uv=uv,
+            xy=xy,
+            hops=old.hops[rows] + 1,
+            depth=depth[rows],
+            extra_flow=unexplained_flow(uv, at_rest[rows], inlier),
             inlier=inlier,
         )
 
