@@ -21,25 +21,30 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _KEY_LENGTH = 16
 
 
-def compiled(function: _F, folder: Path | None) -> _F:
-    """numba's `njit` without Python's lock, its code kept in `folder` (None: in memory only)."""
+def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
+    """numba's `njit` without Python's lock, its code kept in `folder` (None: in memory only).
+
+    `reorder`: sums may be added up in another order, as several lanes at once need it; the order is
+    the same each time, and NaN and infinity keep their meaning.
+    """
     if folder is None:
-        return _njit(function, cache=False)
+        return _njit(function, cache=False, reorder=reorder)
     config = vars(numba.config)
     before = config["CACHE_DIR"]
     config["CACHE_DIR"] = str(folder)  # read while decorating, and only then
     try:
-        dispatcher: Any = _njit(function, cache=True)
+        dispatcher: Any = _njit(function, cache=True, reorder=reorder)
     except RuntimeError:  # numba found no place that it may write to
-        return _njit(function, cache=False)
+        return _njit(function, cache=False, reorder=reorder)
     finally:
         config["CACHE_DIR"] = before
     dispatcher._cache = _Forgiving(dispatcher._cache)
     return cast(_F, dispatcher)
 
 
-def _njit(function: _F, cache: bool) -> _F:
-    decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache)
+def _njit(function: _F, cache: bool, reorder: bool) -> _F:
+    fastmath = {"reassoc", "contract", "nsz"} if reorder else False
+    decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache, fastmath=fastmath)
     return cast(_F, decorate(function))
 
 

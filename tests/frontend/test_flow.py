@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ovmot.config import TrackerSettings
-from ovmot.frontend.flow import follow, follow_lost
+from ovmot.frontend.flow import build_pyramid, follow, follow_lost
+from ovmot.frontend.klt_kernel import margin_of
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 
 SETTINGS = TrackerSettings(klt_window_px=15, klt_near_levels=3, klt_levels=4)
@@ -46,7 +47,8 @@ def look(
     settings: TrackerSettings, workers: ThreadPoolExecutor,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Positions, and which were found."""
-    flow = follow(source, target, points, start, settings, workers)
+    pyramids = build_pyramid(source, settings), build_pyramid(target, settings)
+    flow = follow(*pyramids, points, start, settings, workers)
     return flow.uv, flow.found
 
 
@@ -134,19 +136,27 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     target = np.hstack([target[:, :150], picture(texture, (44.0, 3.0))[:, 150:]])
     moved = points[:, 0] > 150
     near = SETTINGS.model_copy(update={"klt_near_levels": 2, "klt_levels": 2})
-    first = follow(source, target, points, unknown(points), near, workers)
+    pyramids = build_pyramid(source, near), build_pyramid(target, near)
+    first = follow(*pyramids, points, unknown(points), near, workers)
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
-    again = follow_lost(
-        source, target, points, first, (points + shift)[None], points, near, workers
-    )
+    again = follow_lost(*pyramids, points, first, (points + shift)[None], points, near, workers)
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
     flat = np.full_like(target, 128)
     flat[:, :150] = target[:, :150]
-    nowhere = follow(source, flat, points, unknown(points), near, workers)
-    again = follow_lost(
-        source, flat, points, nowhere, (points + shift)[None], points, near, workers
-    )
+    pyramids = build_pyramid(source, near), build_pyramid(flat, near)
+    nowhere = follow(*pyramids, points, unknown(points), near, workers)
+    again = follow_lost(*pyramids, points, nowhere, (points + shift)[None], points, near, workers)
     assert not again.found[points[:, 0] > 170].any()
+
+
+def test_a_pyramid_stops_at_the_size_of_its_window() -> None:
+    """Levels are halves of each other, padded alike, and a picture of any size has one at least."""
+    settings = TrackerSettings(klt_window_px=11, klt_levels=5)
+    pyramid = build_pyramid(np.zeros((50, 80), dtype=np.uint8), settings)
+    margin = margin_of(11)
+    sides = [tuple(side - 2 * margin for side in level.shape) for level in pyramid.levels]
+    assert sides == [(50, 80), (25, 40), (13, 20)]
+    assert len(build_pyramid(np.zeros((9, 9), dtype=np.uint8), settings).levels) == 1

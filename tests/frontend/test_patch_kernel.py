@@ -5,10 +5,11 @@ import numpy as np
 
 from ovmot.frontend.patch_kernel import align_points, align_points_compiled
 from ovmot.frontend.patches import Patches, cut_patches, smoothed
-from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.geometry.arrays import AnyArray, FloatArray, Image
 
 STEPS, SMALL, FAR = 8, 0.02, 3.0
 RADIUS = 6
+OFFSETS = np.indices((13, 13), dtype=np.float32)[::-1].reshape(2, -1) - RADIUS
 ROOT_WEIGHT = np.exp(
     -0.25 * np.add.outer(np.arange(-6.0, 7.0) ** 2, np.arange(-6.0, 7.0) ** 2).ravel() / 9.0
 ).astype(np.float32)
@@ -21,7 +22,7 @@ def picture(seed: int) -> Image:
 
 
 def twin(
-    image: Image, patches: Patches, start: FloatArray
+    image: AnyArray, patches: Patches, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """All points at once, in NumPy."""
     axis = np.arange(-RADIUS, RADIUS + 1, dtype=np.float64)
@@ -43,7 +44,7 @@ def twin(
         seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-3)
         error = seen - patches.grey[going]
         correlation[going] = 1.0 - 0.5 * (error**2).sum(1)
-        step = np.einsum("nij,nmj,nm->ni", patches.inverse[going], patches.steepest[going], error)
+        step = np.einsum("nij,njm,nm->ni", patches.inverse[going], patches.steepest[going], error)
         change = np.eye(2) + step[:, 2:].reshape(-1, 2, 2) / RADIUS
         warp[going] = warp[going] @ np.linalg.inv(change)
         uv[going] -= (warp[going] @ step[:, :2, None])[..., 0]
@@ -65,8 +66,8 @@ def test_compiled_and_plain_code_agree_with_the_twin() -> None:
     for function in (align_points, align_points_compiled):
         uv, warp = start.copy(), patches.warp.copy()
         correlation = function(
-            target, patches.grey, patches.steepest, patches.inverse, ROOT_WEIGHT, uv, warp,
-            STEPS, SMALL, FAR,
+            target, patches.grey, patches.steepest, patches.inverse, ROOT_WEIGHT, OFFSETS,
+            uv, warp,            STEPS, SMALL, FAR,
         )  # fmt: skip
         assert np.isnan(uv[7]).all()
         assert correlation[7] == 0.0

@@ -11,7 +11,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend import points as points_module
-from ovmot.frontend.flow import Flow, follow
+from ovmot.frontend.flow import Flow, Pyramid, follow
 from ovmot.frontend.front_ends import FRONT_ENDS, ImageFrontEnd
 from ovmot.frontend.separate import SeparateTracker
 from ovmot.frontend.tracker import StereoTracker
@@ -111,7 +111,7 @@ def test_the_search_goes_on_from_two_views_and_the_motion(
     misses: list[FloatArray] = []
 
     def spy(
-        source: Image, target: Image, points: FloatArray, start: FloatArray, *rest: object
+        source: Pyramid, target: Pyramid, points: FloatArray, start: FloatArray, *rest: object
     ) -> Flow:
         flow = follow(source, target, points, start, *rest)  # type: ignore[arg-type]
         misses.append(np.linalg.norm(start - flow.uv, axis=1)[flow.found])

@@ -12,7 +12,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.frontend import points as points_module
 from ovmot.frontend import tracker as tracker_module
-from ovmot.frontend.flow import follow
+from ovmot.frontend.flow import Pyramid, build_pyramid, follow
 from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -269,13 +269,14 @@ def test_wrong_matches_of_any_kind_are_refused(
 ) -> None:
     """The flow into the right picture itself gives wrong points: every fifth one, 9 px off."""
     frames = [painted_pair(10**8 * i, STEP_M * i) for i in range(4)]
+    rights = [build_pyramid(frame.right, TRACKER).levels[0] for frame in frames]
 
     def lying(
-        source: object, target: object, points: FloatArray, start: FloatArray,
+        source: Pyramid, target: Pyramid, points: FloatArray, start: FloatArray,
         settings: TrackerSettings, workers: ThreadPoolExecutor,
     ) -> object:  # fmt: skip
-        flow = follow(source, target, points, start, settings, workers)  # type: ignore[arg-type]
-        if any(np.array_equal(target, frame.right) for frame in frames):  # type: ignore[arg-type]
+        flow = follow(source, target, points, start, settings, workers)
+        if any(np.array_equal(target.levels[0], right) for right in rights):
             flow.uv[::5, 1] += 9.0
         return flow
 

@@ -1,5 +1,6 @@
 """New corners: FAST over the whole image, spread by a grid."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -41,7 +42,7 @@ def fast_corners(
     if not keypoints:
         return np.empty((0, 2)), np.empty(0)
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
-    response = np.fromiter((k.response for k in keypoints), np.float64, len(keypoints))
+    response = np.array([k.response for k in keypoints])
     height, width = image.shape
     inside = (
         (points[:, 0] >= _BORDER_PX) & (points[:, 0] < width - _BORDER_PX)
@@ -94,14 +95,15 @@ def _spread(
         apart, _ = cKDTree(existing).query(points)
         points = points[apart >= distance]
     cells, room = _cells_and_room(points, existing, size, spread)
-    taken: dict[tuple[int, int], FloatArray] = {}  # by bin of side `distance`: one in each
-    for point, cell in zip(points, cells, strict=True):
+    points, cells = points[room[cells] > 0], cells[room[cells] > 0]
+    taken: dict[tuple[int, int], tuple[float, float]] = {}  # by bin of side `distance`
+    for (u, v), cell in zip(points.tolist(), cells.tolist(), strict=True):  # quicker than rows
         if len(taken) == n_wanted:
             break
-        bin_uv = int(point[0] // distance), int(point[1] // distance)
-        if room[cell] > 0 and _is_free(point, bin_uv, taken, distance):
+        bin_uv = int(u // distance), int(v // distance)
+        if room[cell] > 0 and _is_free((u, v), bin_uv, taken, distance):
             room[cell] -= 1
-            taken[bin_uv] = point
+            taken[bin_uv] = u, v
     return np.array(list(taken.values())).reshape(-1, 2)
 
 
@@ -122,15 +124,15 @@ def _cells_and_room(
 
 
 def _is_free(
-    point: FloatArray,
+    point: tuple[float, float],
     bin_uv: tuple[int, int],
-    taken: dict[tuple[int, int], FloatArray],
+    taken: dict[tuple[int, int], tuple[float, float]],
     distance: float,
 ) -> bool:
     """Is no taken corner nearer than `distance`? Only the bins around can hold one."""
     u, v = bin_uv
-    near = (taken.get((u + i, v + j)) for i in (-1, 0, 1) for j in (-1, 0, 1))
-    return all(
-        other is None or np.hypot(other[0] - point[0], other[1] - point[1]) >= distance
-        for other in near
+    return not any(
+        math.dist(point, taken[near]) < distance
+        for near in ((u + i, v + j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        if near in taken
     )

@@ -6,23 +6,113 @@ twin.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.geometry.arrays import FloatArray
 from ovmot.kernel_cache import code_folder, compiled
 
 _Float32 = npt.NDArray[np.float32]
+_F = TypeVar("_F", bound=Callable[..., Any])
+_SHIFT = 64
+"""Added to pixels relative to the patch's centre: what is cut off to a whole number is positive."""
 
 
-def align_points(  # noqa: PLR0912, PLR0915 - one loop, compiled as a whole
-    image: Image,
+def _compiled(function: _F) -> _F:
+    """A part of `align_points`: compiled into it, with no code of its own on disk."""
+    return compiled(function, None, reorder=True)
+
+
+@_compiled
+def _sample(
+    image: _Float32, u: float, v: float, warp: FloatArray, offsets: _Float32, seen: _Float32
+) -> None:
+    """Grey levels `seen` (M,) at (u, v) + warp x for `offsets` x (2, M), all in the image.
+
+    The columns and rows are taken relative to the centre's, so that single precision is enough.
+    """
+    pixels, stride = image.ravel(), image.shape[1]
+    left, top = math.floor(u), math.floor(v)
+    corner = (top - _SHIFT) * stride + left - _SHIFT
+    u0, v0 = np.float32(u - left + _SHIFT), np.float32(v - top + _SHIFT)
+    w00, w01 = np.float32(warp[0, 0]), np.float32(warp[0, 1])
+    w10, w11 = np.float32(warp[1, 0]), np.float32(warp[1, 1])
+    one, right, below = np.float32(1.0), np.uint64(1), np.uint64(stride)
+    by_x, by_y = offsets[0], offsets[1]
+    for m in range(len(seen)):
+        x = u0 + w00 * by_x[m] + w01 * by_y[m]
+        y = v0 + w10 * by_x[m] + w11 * by_y[m]
+        column, row = np.int32(x), np.int32(y)
+        a, b = x - np.float32(column), y - np.float32(row)
+        k = np.uint64(corner + row * stride + column)
+        upper = (one - a) * pixels[k] + a * pixels[k + right]
+        lower = (one - a) * pixels[k + below] + a * pixels[k + below + right]
+        seen[m] = (one - b) * upper + b * lower
+
+
+@_compiled
+def _sample_at_rim(
+    image: _Float32, u: float, v: float, warp: FloatArray, offsets: _Float32, seen: _Float32
+) -> None:
+    """The same with the border of the image carried on outwards."""
+    height, width = image.shape
+    for m in range(len(seen)):
+        x = u + warp[0, 0] * offsets[0, m] + warp[0, 1] * offsets[1, m]
+        y = v + warp[1, 0] * offsets[0, m] + warp[1, 1] * offsets[1, m]
+        x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+        left, top = min(int(x), width - 2), min(int(y), height - 2)
+        a, b = x - left, y - top
+        upper = (1.0 - a) * image[top, left] + a * image[top, left + 1]
+        lower = (1.0 - a) * image[top + 1, left] + a * image[top + 1, left + 1]
+        seen[m] = (1.0 - b) * upper + b * lower
+
+
+@_compiled
+def _is_inside(image: _Float32, u: float, v: float, warp: FloatArray, radius: float) -> bool:
+    """Does the whole warped patch lie in the image, and is it no larger than `_sample` can take?"""
+    reach_u = (abs(warp[0, 0]) + abs(warp[0, 1])) * radius + 1.0
+    reach_v = (abs(warp[1, 0]) + abs(warp[1, 1])) * radius + 1.0
+    height, width = image.shape
+    across: bool = reach_u < _SHIFT and reach_u <= u < width - 1 - reach_u
+    return across and reach_v < _SHIFT and reach_v <= v < height - 1 - reach_v
+
+
+@_compiled
+def _make_unit(seen: _Float32, root_weight: _Float32) -> None:
+    """Take off the weighted mean, weight, and divide by the norm, in place."""
+    total, weight_sum, square = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for m in range(len(seen)):
+        weight = root_weight[m] * root_weight[m]
+        total += weight * seen[m]
+        weight_sum += weight
+    mean = total / weight_sum
+    for m in range(len(seen)):
+        seen[m] = root_weight[m] * (seen[m] - mean)
+        square += seen[m] * seen[m]
+    scale = np.float32(1.0) / max(np.sqrt(square), np.float32(1e-3))
+    for m in range(len(seen)):
+        seen[m] *= scale
+
+
+@_compiled
+def _dot(a: _Float32, b: _Float32) -> float:
+    total = np.float32(0.0)
+    for m in range(len(a)):
+        total += a[m] * b[m]
+    return float(total)
+
+
+def align_points(
+    image: _Float32,
     grey: _Float32,
     steepest: _Float32,
     inverse: _Float32,
     root_weight: _Float32,
+    offsets: _Float32,
     uv: FloatArray,
     warp: FloatArray,
     max_steps: int,
@@ -31,56 +121,31 @@ def align_points(  # noqa: PLR0912, PLR0915 - one loop, compiled as a whole
 ) -> FloatArray:
     """Move `uv` (N, 2) and `warp` (N, 2, 2), in place, to where the patches fit; correlation (N,).
 
-    `grey` (N, M), `steepest` (N, M, 6), `inverse` (N, 6, 6) of M = side² pixels, row by row, as
-    `patches.Patches` holds them; `root_weight` (M,). A point stops after `max_steps`, by a step
-    below `small_step`, or `max_shift` pixels from its start.
+    `grey` (N, M), `steepest` (N, 6, M), `inverse` (N, 6, 6) as `patches.Patches` holds them;
+    `root_weight` (M,) and `offsets` (2, M) of their pixels. A point stops after `max_steps`, by a
+    step below `small_step`, or `max_shift` pixels from its start.
     """
     n_points, n_pixels = grey.shape
-    side = round(math.sqrt(n_pixels))
-    radius = (side - 1) // 2
-    height, width = image.shape
+    radius = float(offsets.max())
     correlation = np.zeros(n_points)
-    seen = np.empty(n_pixels)
+    error = np.empty(n_pixels, dtype=np.float32)
     gradient, step = np.empty(6), np.empty(6)
     for n in range(n_points):
         start_u, start_v = uv[n, 0], uv[n, 1]
         if not (math.isfinite(start_u) and math.isfinite(start_v)):
             continue
         for _ in range(max_steps):
-            # grey levels at uv + warp x, the border carried on outwards
-            total, weight_sum = 0.0, 0.0
-            for row in range(side):
-                for column in range(side):
-                    x, y = float(column - radius), float(row - radius)
-                    u = uv[n, 0] + warp[n, 0, 0] * x + warp[n, 0, 1] * y
-                    v = uv[n, 1] + warp[n, 1, 0] * x + warp[n, 1, 1] * y
-                    u = min(max(u, 0.0), width - 1.0)
-                    v = min(max(v, 0.0), height - 1.0)
-                    left, top = min(int(u), width - 2), min(int(v), height - 2)
-                    a, b = u - left, v - top
-                    above = (1.0 - a) * image[top, left] + a * image[top, left + 1]
-                    below = (1.0 - a) * image[top + 1, left] + a * image[top + 1, left + 1]
-                    m = row * side + column
-                    seen[m] = (1.0 - b) * above + b * below
-                    w = root_weight[m] * root_weight[m]
-                    total += w * seen[m]
-                    weight_sum += w
-            mean = total / weight_sum
-            square = 0.0
-            for m in range(n_pixels):
-                seen[m] = root_weight[m] * (seen[m] - mean)
-                square += seen[m] * seen[m]
-            norm = max(math.sqrt(square), 1e-3)
             # the error against the patch, and the Gauss-Newton step
-            error_square = 0.0
-            for k in range(6):
-                gradient[k] = 0.0
+            if _is_inside(image, uv[n, 0], uv[n, 1], warp[n], radius):
+                _sample(image, uv[n, 0], uv[n, 1], warp[n], offsets, error)
+            else:
+                _sample_at_rim(image, uv[n, 0], uv[n, 1], warp[n], offsets, error)
+            _make_unit(error, root_weight)
             for m in range(n_pixels):
-                error = seen[m] / norm - grey[n, m]
-                error_square += error * error
-                for k in range(6):
-                    gradient[k] += error * steepest[n, m, k]
-            correlation[n] = 1.0 - 0.5 * error_square
+                error[m] -= grey[n, m]
+            correlation[n] = 1.0 - 0.5 * _dot(error, error)
+            for k in range(6):
+                gradient[k] = _dot(error, steepest[n, k])
             largest = 0.0
             for j in range(6):
                 step[j] = 0.0

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.frontend.patch_kernel import align_points_compiled
-from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
 
 _Float32 = npt.NDArray[np.float32]
 
@@ -32,6 +32,7 @@ _BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
 
 _axis = np.arange(-_RADIUS, _RADIUS + 1, dtype=np.float32)
 _OFFSETS: _Float32 = np.stack(np.meshgrid(_axis, _axis), axis=-1).reshape(-1, 2)
+_BY_AXIS: _Float32 = np.ascontiguousarray(_OFFSETS.T)
 
 # What lies off the centre counts less: at an outline it belongs to another body.
 _ROOT_WEIGHT: _Float32 = np.exp(-0.25 * (_OFFSETS**2).sum(axis=1) / _WEIGHT_SIGMA_PX**2)
@@ -40,7 +41,7 @@ _ROOT_WEIGHT: _Float32 = np.exp(-0.25 * (_OFFSETS**2).sum(axis=1) / _WEIGHT_SIGM
 @dataclass(frozen=True, slots=True)
 class Patches:
     """N patches of M pixels: `grey` (N, M), weighted, of zero mean and unit norm; `steepest`
-    (N, M, 6), its derivative by a shift (2) and by the warp's four numbers times the radius;
+    (N, 6, M), its derivative by a shift (2) and by the warp's four numbers times the radius;
     `inverse` (N, 6, 6) of the curvature; `warp` (N, 2, 2): an offset x in the patch is now seen at
     uv + warp x."""
 
@@ -67,13 +68,28 @@ class Patches:
             np.concatenate([self.warp, others.warp]),
         )
 
+    def put(self, where: BoolArray, others: "Patches") -> "Patches":
+        """These, with the others in place of those `where` (N,) is true."""
 
-def smoothed(image: Image) -> Image:
+        def replaced(values: AnyArray, new: AnyArray) -> AnyArray:
+            out = values.copy()
+            out[where] = new
+            return out
+
+        return Patches(
+            replaced(self.grey, others.grey),
+            replaced(self.steepest, others.steepest),
+            replaced(self.inverse, others.inverse),
+            replaced(self.warp, others.warp),
+        )
+
+
+def smoothed(image: Image) -> _Float32:
     """The image as patches are cut from it and aligned with it."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX))
+    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX), dtype=np.float32)
 
 
-def cut_patches(image: Image, uv: FloatArray) -> Patches:
+def cut_patches(image: _Float32, uv: FloatArray) -> Patches:
     """Patches around pixels (N, 2) of a smoothed image, as they are seen there."""
     n, side = len(uv), 2 * _RADIUS + 3
     axis = np.arange(side, dtype=np.float32) - (_RADIUS + 1)
@@ -83,11 +99,11 @@ def cut_patches(image: Image, uv: FloatArray) -> Patches:
     by_u = 0.5 * (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]).reshape(n, len(_OFFSETS)) / norm
     by_v = 0.5 * (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]).reshape(n, len(_OFFSETS)) / norm
     x, y = _OFFSETS[:, 0] / _RADIUS, _OFFSETS[:, 1] / _RADIUS
-    steepest = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y], axis=-1)
-    weight = (_ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum())[:, None]
-    steepest = (steepest - (weight * steepest).sum(axis=1, keepdims=True)) * _ROOT_WEIGHT[:, None]
-    steepest -= grey[..., None] * (grey[:, None, :] @ steepest)  # what a gain would explain
-    H = np.swapaxes(steepest, 1, 2) @ steepest
+    steepest = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y], axis=1)
+    weight = _ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum()
+    steepest = (steepest - (steepest @ weight)[..., None]) * _ROOT_WEIGHT
+    steepest -= (steepest @ grey[..., None]) * grey[:, None]  # what a gain would explain
+    H = steepest @ np.swapaxes(steepest, 1, 2)
     damping = _DAMPING * np.trace(H, axis1=1, axis2=2) / 6.0 + 1e-9
     inverse = np.linalg.inv(H + damping[:, None, None] * np.eye(6, dtype=np.float32))
     warp = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
@@ -96,12 +112,12 @@ def cut_patches(image: Image, uv: FloatArray) -> Patches:
 
 def no_patches() -> Patches:
     """None yet."""
-    return cut_patches(np.zeros((1, 1), dtype=np.uint8), np.empty((0, 2)))
+    return cut_patches(np.zeros((1, 1), dtype=np.float32), np.empty((0, 2)))
 
 
 def align(
     patches: Patches,
-    image: Image,
+    image: _Float32,
     start: FloatArray,
     start_warp: FloatArray,
     workers: Executor,
@@ -117,7 +133,7 @@ def align(
     jobs = [
         workers.submit(
             align_points_compiled, image, patches.grey[part], patches.steepest[part],
-            patches.inverse[part], _ROOT_WEIGHT, uv[part], warp[part],
+            patches.inverse[part], _ROOT_WEIGHT, _BY_AXIS, uv[part], warp[part],
             _MAX_STEPS, _SMALL_STEP_PX, _MAX_SHIFT_PX,
         )
         for part in parts
@@ -130,7 +146,7 @@ def align(
 
 
 def followed(
-    patches: Patches, image: Image, start: FloatArray, workers: Executor
+    patches: Patches, image: _Float32, start: FloatArray, workers: Executor
 ) -> tuple[FloatArray, Patches]:
     """Refined pixels (N, 2) in the next smoothed left image, and the patches as seen there.
 
@@ -143,13 +159,11 @@ def followed(
     stale = ~fits | (scale.max(axis=1) > _SCALES[1]) | (scale.min(axis=1) < _SCALES[0])
     out = replace(patches, warp=warp)
     if stale.any():
-        fresh = cut_patches(image, uv[stale])
-        order = np.argsort(np.r_[np.flatnonzero(~stale), np.flatnonzero(stale)])
-        out = out.rows(~stale).joined(fresh).rows(order)
+        out = out.put(stale, cut_patches(image, uv[stale]))
     return uv, out
 
 
-def _sample(image: Image, uv: FloatArray, warp: FloatArray, offsets: _Float32) -> _Float32:
+def _sample(image: _Float32, uv: FloatArray, warp: FloatArray, offsets: _Float32) -> _Float32:
     """Grey levels (N, M) at uv + warp offset; the border is carried on outwards."""
     if not len(uv):
         return np.empty((0, len(offsets)), dtype=np.float32)

@@ -4,11 +4,12 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ovmot.cameras.camera import Camera
 from ovmot.config import TrackerSettings
 from ovmot.frontend.corners import Spread, choose_corners, even_spread, fast_corners
-from ovmot.frontend.flow import follow, follow_lost
+from ovmot.frontend.flow import Pyramid, follow, follow_lost
 from ovmot.frontend.focus import focus_mask
 from ovmot.frontend.patches import cut_patches, followed, no_patches
 from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
@@ -22,11 +23,12 @@ _UNLIMITED = 100_000
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What one camera sees: its equalised image, the same `smooth` for the alignment of patches,
-    its mask if any, and its present calibration."""
+    """What one camera sees: its equalised image, the same as a `pyramid` for the flow and `smooth`
+    for the alignment of patches, its mask if any, and its present calibration."""
 
     image: Image
-    smooth: Image
+    pyramid: Pyramid
+    smooth: npt.NDArray[np.float32]
     mask: Image | None
     camera: Camera
 
@@ -75,7 +77,7 @@ class PointFollower:
         self._settings = settings
         self._workers = workers
         self._ids = ids
-        self._image: Image | None = None
+        self._pyramid: Pyramid | None = None
         self._focus = (np.empty((0, 2)), np.empty(0))
         self.points = no_points()
         self.patches = no_patches()
@@ -97,7 +99,7 @@ class PointFollower:
         self.points = self._with_corners(view, points)
         new = cut_patches(view.smooth, self.points.uv[len(points) :])
         self.patches = self.patches.joined(new)
-        self._image = view.image
+        self._pyramid = view.pyramid
         return self.points
 
     def _followed(
@@ -105,32 +107,34 @@ class PointFollower:
     ) -> CameraPoints:
         """The last image's points in this one; those lost are gone."""
         old, camera = self.points, view.camera
-        if self._image is None:
+        if self._pyramid is None:
             return old
         at_rest, _ = predict_pixels(old.xy, p_before, T_now_before, camera)
         start, depth = predict_pixels(old.xy, p_moved, T_now_before, camera)
         moves = np.isfinite(p_moved[:, 0]) & (p_moved != p_before).any(axis=1)
         start = np.where(moves[:, None], start, at_rest + old.extra_flow)
-        pictures = self._image, view.image, old.uv
+        pictures = self._pyramid, view.pyramid, old.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         nearby = flow_nearby(old.uv, at_rest, flow.uv, flow.found)
         # not again where the first look began
         elsewhere = np.where((start != at_rest).any(axis=1)[:, None], at_rest, np.nan)
         again = np.stack([nearby, elsewhere])
         flow = follow_lost(*pictures, flow, again, at_rest, self._settings, self._workers)
-        uv, patches = followed(self.patches, view.smooth, flow.uv, self._workers)
+        rows = np.flatnonzero(flow.found & view.shows(flow.uv))
+        patches = self.patches.rows(rows)
+        uv, patches = followed(patches, view.smooth, flow.uv[rows], self._workers)
         xy = camera.normalize(uv)
-        ok = flow.found & view.shows(uv) & np.isfinite(xy[:, 0])
+        ok = view.shows(uv) & np.isfinite(xy[:, 0])
+        rows, uv, xy, self.patches = rows[ok], uv[ok], xy[ok], patches.rows(ok)
         threshold = self._settings.two_view_threshold_px / camera.fx
-        inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
-        self.patches = patches.rows(ok)
+        inlier = two_view_inliers(old.xy[rows], xy, threshold)
         return CameraPoints(
-            feature_id=old.feature_id[ok],
-            uv=uv[ok],
-            xy=xy[ok],
-            hops=old.hops[ok] + 1,
-            depth=depth[ok],
-            extra_flow=unexplained_flow(uv[ok], at_rest[ok], inlier),
+            feature_id=old.feature_id[rows],
+            uv=uv,
+            xy=xy,
+            hops=old.hops[rows] + 1,
+            depth=depth[rows],
+            extra_flow=unexplained_flow(uv, at_rest[rows], inlier),
             inlier=inlier,
         )
 

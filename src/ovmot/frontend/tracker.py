@@ -4,16 +4,17 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend.contrast import EQUALIZERS
 from ovmot.frontend.epipolar import gate_matches, without_refused
-from ovmot.frontend.flow import follow, follow_lost
+from ovmot.frontend.flow import build_pyramid, follow, follow_lost
 from ovmot.frontend.patches import align, smoothed
 from ovmot.frontend.points import CameraPoints, FeatureIds, PointFollower, View
 from ovmot.frontend.prediction import fill_depths, predict_right
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -93,7 +94,7 @@ class StereoTracker:
         default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
-        pictures = left.image, right.image, points.uv
+        pictures = left.pyramid, right.pyramid, points.uv
         flow = follow(*pictures, start, self._settings, self._workers)
         nowhere = np.empty((0, *start.shape))
         flow = follow_lost(*pictures, flow, nowhere, start, self._settings, self._workers)
@@ -121,9 +122,10 @@ def views(
     """Left and right view of a frame, equalised; raises `OvmotError` for one without images."""
     if isinstance(frame, FeatureFrame):
         raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
-    left, right = workers.map(EQUALIZERS[settings.equalization], (frame.left, frame.right))
-    smooth_left, smooth_right = workers.map(smoothed, (left, right))
-    return (
-        View(left, smooth_left, frame.left_mask, rig.cam0),
-        View(right, smooth_right, frame.right_mask, rig.cam1),
-    )
+
+    def view_of(image: Image, mask: Image | None, camera: Camera) -> View:
+        even = EQUALIZERS[settings.equalization](image)
+        return View(even, build_pyramid(even, settings), smoothed(even), mask, camera)
+
+    right = workers.submit(view_of, frame.right, frame.right_mask, rig.cam1)
+    return view_of(frame.left, frame.left_mask, rig.cam0), right.result()

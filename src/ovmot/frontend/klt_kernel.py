@@ -1,0 +1,248 @@
+"""The compiled search of pyramidal Lucas-Kanade flow, there and back, point by point.
+
+J.-Y. Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2000, with OpenCV's
+ways to stop and to refuse. OpenCV's own function takes no pyramids from Python: it builds those of
+both images at each of the many calls of a frame, and that costs more than the search.
+
+Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
+(`kernel_cache`). It holds no Python lock. tests/frontend/test_klt_kernel.py holds it against
+OpenCV.
+
+Windows are kept as rows of `side + 3` pixels in one line of numbers: a loop over all of them runs
+in SIMD lanes, where one per row would be too short. In the columns beyond the window the
+derivatives are zero.
+"""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.kernel_cache import code_folder, compiled
+
+MAX_STEPS = 20
+SMALL_STEP_PX = 0.01
+MIN_CURVATURE = 1.024
+"""Least eigenvalue of a window's mean squared gradient, (grey levels / pixel)²: OpenCV's 1e-3."""
+BACK_LEVELS = 2
+"""The way back starts where it should end: two levels are enough."""
+MAX_ROUND_TRIP_PX = 0.7
+LANES = 32
+"""Pixels that one turn of a loop takes."""
+
+_Float32 = npt.NDArray[np.float32]
+_Images = tuple[_Float32, ...]
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def _compiled(function: _F) -> _F:
+    """A part of `follow_points`: compiled into it, with no code of its own on disk."""
+    return compiled(function, None, reorder=True)
+
+
+@_compiled
+def _cut(image: _Float32, left: int, top: int, n_rows: int, stride: int, block: _Float32) -> None:
+    """Copy rows of an image, from pixel (left, top) on."""
+    for i in range(n_rows):
+        row, out = image[top + i, left:], block[i * stride :]
+        for j in range(stride):
+            out[j] = row[j]
+
+
+@_compiled
+def _between(block: _Float32, n: int, stride: int, a: float, b: float, grey: _Float32) -> None:
+    """Grey levels right of and below the first `n` pixels of a block, by a and b."""
+    w00, w01 = np.float32((1.0 - a) * (1.0 - b)), np.float32(a * (1.0 - b))
+    w10, w11 = np.float32((1.0 - a) * b), np.float32(a * b)
+    right, below, corner = block[1:], block[stride:], block[stride + 1 :]
+    for k in range(n):
+        grey[k] = w00 * block[k] + w01 * right[k] + w10 * below[k] + w11 * corner[k]
+
+
+@_compiled
+def _derivatives(wide: _Float32, n: int, stride: int, by_u: _Float32, by_v: _Float32) -> None:
+    """Scharr's derivatives of a window from one that is wider by a pixel on each side."""
+    three, ten = np.float32(3.0 / 32.0), np.float32(10.0 / 32.0)
+    up, up_right = wide[1:], wide[2:]
+    left, right = wide[stride:], wide[stride + 2 :]
+    down_left, down, down_right = wide[2 * stride :], wide[2 * stride + 1 :], wide[2 * stride + 2 :]
+    for k in range(n):
+        fall, rise = down_right[k] - wide[k], up_right[k] - down_left[k]
+        by_u[k] = three * (fall + rise) + ten * (right[k] - left[k])
+        by_v[k] = three * (fall - rise) + ten * (down[k] - up[k])
+
+
+@_compiled
+def _clear_outside(
+    values: _Float32, side: int, left: int, top: int, right: int, bottom: int
+) -> None:
+    """Zero but in columns from `left` to before `right`, in rows from `top` to before `bottom`."""
+    stride = side + 3
+    for i in range(side):
+        until = left if top <= i < bottom else stride
+        for j in range(until):
+            values[i * stride + j] = 0.0
+        for j in range(right, stride):
+            values[i * stride + j] = 0.0
+
+
+@_compiled
+def _products(n: int, by_u: _Float32, by_v: _Float32) -> tuple[float, float, float]:
+    """Sums of the derivatives' products: uu, uv, vv."""
+    uu, uv, vv = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for k in range(n):
+        uu += by_u[k] * by_u[k]
+        uv += by_u[k] * by_v[k]
+        vv += by_v[k] * by_v[k]
+    return float(uu), float(uv), float(vv)
+
+
+@_compiled
+def _mismatch(
+    seen: _Float32, wide: _Float32, n: int, stride: int, by_u: _Float32, by_v: _Float32
+) -> tuple[float, float]:
+    """What is seen less the window inside the wide one, times the derivatives, summed."""
+    u, v = np.float32(0.0), np.float32(0.0)
+    inside = wide[stride + 1 :]
+    for k in range(n):
+        error = seen[k] - inside[k]
+        u += error * by_u[k]
+        v += error * by_v[k]
+    return float(u), float(v)
+
+
+@_compiled
+def _unlikeness(seen: _Float32, wide: _Float32, side: int, stride: int) -> float:
+    """The mean difference of what is seen from the window inside the wide one."""
+    total = 0.0
+    for i in range(side):
+        for j in range(side):
+            total += abs(seen[i * stride + j] - wide[(i + 1) * stride + j + 1])
+    return total / (side * side)
+
+
+@_compiled
+def _take_window(
+    image: _Float32, left: int, top: int, a: float, b: float,
+    side: int, picture: tuple[int, int, int, int], room: _Float32,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Fill `room` with the wide window at (left + a, top + b) and its derivatives; their products.
+
+    `picture`: first and last column and row, counted in the window, between which it is shown.
+    """
+    block, wide, by_u, by_v = room[0], room[1], room[3], room[4]
+    stride = side + 3
+    n = side * stride
+    _cut(image, left, top, stride, stride, block)
+    _between(block, n + 2 * stride, stride, a, b, wide)
+    _derivatives(wide, n, stride, by_u, by_v)
+    first, last = max(0, picture[0]), min(side, picture[2])
+    _clear_outside(by_u, side, first, picture[1], last, picture[3])
+    _clear_outside(by_v, side, first, picture[1], last, picture[3])
+    return _products(n, by_u, by_v)
+
+
+@_compiled
+def _track(
+    source: _Images, target: _Images, n_levels: int, side: int, room: _Float32,
+    u0: float, v0: float, u1: float, v1: float,
+) -> tuple[float, float, bool, float]:  # fmt: skip
+    """Where (u0, v0) of the source is in the target, from (u1, v1); if found; how unlike.
+
+    `room` (5, (side + 4)² + LANES): memory to work in, zero at first.
+    """
+    block, wide, seen, by_u, by_v = room[0], room[1], room[2], room[3], room[4]
+    margin, stride, half = side + 2, side + 3, 0.5 * (side - 1)
+    n, usable = side * stride, False
+    lanes = -(-n // LANES) * LANES  # zero derivatives beyond n: no rest that goes one by one
+    scale = 0.5 ** (n_levels - 1)
+    u, v = u1 * scale, v1 * scale
+    for level in range(n_levels - 1, -1, -1):
+        if level < n_levels - 1:
+            u, v = 2.0 * u, 2.0 * v
+        scale = 0.5**level
+        height, width = target[level].shape[0] - 2 * margin, target[level].shape[1] - 2 * margin
+        # the window in the source, with a pixel around it; nothing counts outside the picture
+        x, y = u0 * scale - half, v0 * scale - half
+        left, top = math.floor(x), math.floor(y)
+        usable = -side <= left < width and -side <= top < height
+        if not usable:
+            continue
+        picture = (-left, -top, width - 1 - left, height - 1 - top)
+        x, y = x - left, y - top
+        left, top = left + margin - 1, top + margin - 1
+        uu, uv, vv = _take_window(source[level], left, top, x, y, side, picture, room)
+        least = 0.5 * (uu + vv - math.sqrt((uu - vv) ** 2 + 4.0 * uv * uv))
+        usable = least >= MIN_CURVATURE * side * side
+        if not usable:
+            continue
+        # Gauss-Newton steps
+        det = uu * vv - uv * uv
+        last_u, last_v = 0.0, 0.0
+        cut_left, cut_top = width, height  # of the block; nowhere yet
+        for step in range(MAX_STEPS):
+            x, y = u - half, v - half
+            left, top = math.floor(x), math.floor(y)
+            if not (-side <= left < width and -side <= top < height):
+                break
+            if left != cut_left or top != cut_top:
+                _cut(target[level], left + margin, top + margin, side + 1, stride, block)
+                cut_left, cut_top = left, top
+            _between(block, lanes, stride, x - left, y - top, seen)
+            bu, bv = _mismatch(seen, wide, lanes, stride, by_u, by_v)
+            du, dv = (uv * bv - vv * bu) / det, (uv * bu - uu * bv) / det
+            u, v = u + du, v + dv
+            if du * du + dv * dv <= SMALL_STEP_PX**2:
+                break
+            if step > 0 and abs(du + last_u) < SMALL_STEP_PX and abs(dv + last_v) < SMALL_STEP_PX:
+                u, v = u - 0.5 * du, v - 0.5 * dv  # to and fro: the middle
+                break
+            last_u, last_v = du, dv
+    x, y = u - half, v - half
+    left, top = math.floor(x), math.floor(y)
+    if not (usable and -side <= left < width and -side <= top < height):
+        return u, v, False, 0.0
+    _cut(target[0], left + margin, top + margin, side + 1, stride, block)
+    _between(block, lanes, stride, x - left, y - top, seen)
+    return u, v, True, _unlikeness(seen, wide, side, stride)
+
+
+def margin_of(side: int) -> int:
+    """Pixels that a level needs beyond each rim, since a window may lie just outside."""
+    return side + 2
+
+
+def follow_points(
+    source: _Images,
+    target: _Images,
+    side: int,
+    points: FloatArray,
+    start: FloatArray,
+    n_levels: int,
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Where `points` (N, 2) of the source are in the target, by a search from `start` (N, 2).
+
+    `source`, `target`: pyramids, from fine to coarse, each level padded by `margin_of(side)` on all
+    sides; `side` of the window. Positions (N, 2), found (N,) and unlikeness (N,) as in `flow.Flow`.
+    """
+    n = len(points)
+    uv, found, unlikeness = start.copy(), np.zeros(n, dtype=np.bool_), np.zeros(n)
+    room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
+    for i in range(n):
+        u0, v0 = points[i]
+        u, v, ok, unlike = _track(
+            source, target, n_levels, side, room, u0, v0, start[i, 0], start[i, 1]
+        )
+        uv[i, 0], uv[i, 1], unlikeness[i] = u, v, unlike
+        if ok:
+            back_levels = min(BACK_LEVELS, len(source))
+            u, v, ok, _ = _track(target, source, back_levels, side, room, u, v, u0, v0)
+            found[i] = ok and math.hypot(u - u0, v - v0) < MAX_ROUND_TRIP_PX
+    return uv, found, unlikeness
+
+
+follow_points_compiled = compiled(follow_points, code_folder(Path(__file__)))
