@@ -259,3 +259,11 @@ def test_shared_features_and_gates_decide() -> None:
     assert associate(far, share, count) == [(0, 0)]  # the second pair is absurdly far
     assert associate(np.full((1, 1), 5.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == [(0, 0)]
     assert associate(np.full((1, 1), 100.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == []
+
+
+def test_no_track_gives_way_to_make_another_pair_possible() -> None:
+    # the first track has nine tenths of the second body; a new one has a feature there as well,
+    # and the first body is within the first track's gate
+    distance = np.array([[20.0, 1.0], [500.0, 20.0]])
+    share = np.array([[0.0, 0.9], [0.0, 0.1]])
+    assert associate(distance, share, np.zeros((2, 2), dtype=np.int64)) == [(0, 1)]

@@ -10,7 +10,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 _GATE = 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
 _SHARED = 2  # features that make a pair possible though the state says no
 _SHARED_GATE = 3.0 * _GATE
-_NONE = 1e6
+_NONE = 2.0  # costs as much as the worst pair: no track gives way to make another one possible
 
 
 def shared_share(

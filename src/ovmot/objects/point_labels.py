@@ -42,7 +42,8 @@ def label_points(
 
 def moving_ids(seen: ScenePoints) -> IntArray:
     """Ids of the points that the split found moving."""
-    return seen.feature_id[seen.label == int(PointLabel.DYNAMIC)]
+    ids: IntArray = seen.feature_id[seen.label == int(PointLabel.DYNAMIC)]
+    return ids
 
 
 def _moves_with(track: Track, own: BoolArray, motions: FeatureMotions) -> BoolArray:

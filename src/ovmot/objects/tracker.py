@@ -28,7 +28,7 @@ _MIN_FOUND = 3  # features that go as a track should, where it should be, are th
 _LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
 _FEW_OF_MANY = 0.1
 _GAP_M = 2.5  # without features, between two ends of a lorry
-_BODY_WIDTH_M = 2.7
+_BODY_WIDTH_M = 3.2  # boxes of few points are too wide
 _WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
 
 
@@ -225,7 +225,7 @@ def _merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Tra
     for track in tracks:
         over = next((k for k, other in enumerate(out) if _same_body(track, other)), None)
         if over is None:
-            out.append(replace(track, overlaps=0))
+            out.append(replace(track, overlaps=max(track.overlaps - 1, 0)))
         elif track.overlaps + 1 < settings.merge_frames:
             young = track.hits <= settings.confirm_hits + settings.merge_frames
             state = TrackState.TENTATIVE if young else track.state
