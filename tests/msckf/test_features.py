@@ -10,11 +10,12 @@ from scipy.linalg import qr as scipy_qr
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.msckf.features import (
     FeatureSystem,
     chi2_gate,
+    innovation_distances,
     linearize,
     reproject,
     separate_points,
@@ -44,6 +45,13 @@ def state(make_state: Callable[..., State], curvy_path: PoseSpline, start_ns: in
     stamps = start_ns + 200_000_000 * np.arange(4)
     T = curvy_path.pose(stamps)
     return replace(make_state(np.random.default_rng(0), 4), clones=Clones(stamps, T, T))
+
+
+def gate(
+    state: State, H: FloatArray, residual: FloatArray, dof: IntArray, multiplier: float
+) -> BoolArray:
+    distance = innovation_distances(state.clone_covariance, H, residual)
+    return chi2_gate(distance, dof, multiplier)
 
 
 def per_clone(state: State, rig: StereoRig, points: FloatArray, field: str) -> FloatArray:
@@ -218,24 +226,24 @@ def test_gate_passes_95_percent_of_consistent_features_and_no_others(
     dof = system.n_rows - 3
     free = separate_points(replace(system, residual=residual))
     H, r = free.H, free.residual
-    rate = chi2_gate(state.clone_covariance, H, r, dof, 1.0).mean()
+    rate = gate(state, H, r, dof, 1.0).mean()
     assert rate == pytest.approx(0.95, abs=0.012)
     # the state's own uncertainty is part of the bound
     certain = replace(state, covariance=1e-12 * P)
-    assert chi2_gate(certain.clone_covariance, H, r, dof, 1.0).mean() < 0.8
+    assert gate(certain, H, r, dof, 1.0).mean() < 0.8
     wrong = np.where(real, residual + 200.0 * rng.normal(size=real.shape), 0.0)
     free = separate_points(replace(system, residual=wrong))
     H, r = free.H, free.residual
-    assert chi2_gate(state.clone_covariance, H, r, dof, 1.0).mean() < 0.01
+    assert gate(state, H, r, dof, 1.0).mean() < 0.01
     # a wider multiplier lets more through
     free = separate_points(replace(system, residual=1.5 * residual))
     H, r = free.H, free.residual
-    narrow, wide = (chi2_gate(state.clone_covariance, H, r, dof, x).mean() for x in (1.0, 3.0))
+    narrow, wide = (gate(state, H, r, dof, x).mean() for x in (1.0, 3.0))
     assert narrow < 0.8 < wide
 
 
 def test_gate_refuses_features_without_enough_rows(make_state: Callable[..., State]) -> None:
     state = make_state(np.random.default_rng(7), 1)
     H, r = np.zeros((2, 5, 6)), np.zeros((2, 5))
-    passed = chi2_gate(state.clone_covariance, H, r, np.array([0, 2]), 1.0)
+    passed = gate(state, H, r, np.array([0, 2]), 1.0)
     np.testing.assert_array_equal(passed, [False, True])

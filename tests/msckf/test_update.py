@@ -15,6 +15,7 @@ from ovmot.msckf.update import (
     ekf_update,
     innovation_distance,
     innovation_factor,
+    triangular_part,
 )
 
 MakeState = Callable[..., State]
@@ -115,6 +116,29 @@ def test_compression_gives_the_same_update(make_state: MakeState) -> None:
     brief = ekf_update(state, short, columns, r, np.ones(len(r)))
     np.testing.assert_allclose(brief.covariance, plain.covariance, atol=1e-12)
     np.testing.assert_allclose(box_minus(brief, plain), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(300, 40), (40, 40), (5, 12), (7, 1)])
+def test_the_triangular_part_is_that_of_a_qr(shape: tuple[int, int]) -> None:
+    A = np.random.default_rng(9).normal(size=shape)
+    before = A.copy()
+    R = triangular_part(A)
+    assert R.shape == (min(shape), shape[1])
+    np.testing.assert_array_equal(R, np.triu(R))
+    np.testing.assert_allclose(R.T @ R, A.T @ A, atol=1e-10)
+    np.testing.assert_array_equal(A, before)
+
+
+def test_a_factor_that_is_known_gives_the_same_update(make_state: MakeState) -> None:
+    rng = np.random.default_rng(11)
+    state = make_state(rng, 1)
+    H, columns, residual, variance = measurement(rng, len(state.covariance), 5, 6)
+    L = innovation_factor(state.covariance[np.ix_(columns, columns)], H, variance)
+    plain = ekf_update(state, H, columns, residual, variance)
+    told = ekf_update(state, H, columns, residual, variance, L)
+    np.testing.assert_array_equal(told.covariance, plain.covariance)
+    other = ekf_update(state, H, columns, residual, variance, 2.0 * L)
+    assert np.trace(other.covariance) > np.trace(plain.covariance)
 
 
 def test_chi2_bound_is_the_quantile() -> None:

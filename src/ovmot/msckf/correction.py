@@ -5,18 +5,19 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import FilterSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.msckf.agreement import scaled, shares
+from ovmot.msckf.agreement import agreement
 from ovmot.msckf.calibration import calibrated_rig
 from ovmot.msckf.features import (
     FeatureSystem,
     chi2_gate,
+    innovation_distances,
     linearize,
     separate_points,
     triangulate_features,
 )
 from ovmot.msckf.slam import add_landmarks, update_landmarks
 from ovmot.msckf.state import State, drop_landmarks
-from ovmot.msckf.update import compress, ekf_update
+from ovmot.msckf.update import ekf_update
 from ovmot.tracks import TrackTable, mark_used
 
 NOT_KEPT = -1
@@ -93,17 +94,18 @@ def update_with_tracks(
     free = separate_points(system)
     columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
     P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
-    passed = chi2_gate(P, free.H, free.residual, free.dof, settings.chi2_multiplier)
-    share = shares(state, free.H, free.residual, columns, passed)
-    if not share.any():
+    distance = innovation_distances(P, free.H, free.residual)
+    passed = chi2_gate(distance, free.dof, settings.chi2_multiplier)
+    agreed = agreement(state, free.H, free.residual, columns, distance, passed)
+    if agreed is None:
         return state
     landmark_id = landmark_id[found]
-    joining = (share > 0.0) & (landmark_id != NOT_KEPT)
+    joining = (agreed.share > 0.0) & (landmark_id != NOT_KEPT)
     state = add_landmarks(
         state, free.points.rows(joining), landmark_id[joining], p_world[joining], T_imu_anchor
     )
-    H, residual = compress(*scaled(free.H, free.residual, share))
-    return ekf_update(state, H, columns, residual, np.ones(len(residual)))
+    variance = np.ones(len(agreed.residual))
+    return ekf_update(state, agreed.H, columns, agreed.residual, variance, agreed.L)
 
 
 def _correct_with_landmarks(

@@ -209,16 +209,19 @@ def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
     return A
 
 
-def chi2_gate(
-    P: FloatArray, H: FloatArray, residual: FloatArray, dof: IntArray, multiplier: float
-) -> BoolArray:
-    """Which features (F,) agree with the state at 95 %: rᵀ (H P Hᵀ + I)⁻¹ r below the bound.
+def innovation_distances(P: FloatArray, H: FloatArray, residual: FloatArray) -> FloatArray:
+    """Squared distance (F,) of each feature's residual from the state: rᵀ (H P Hᵀ + I)⁻¹ r.
 
-    `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies.
+    `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies; `residual` (F, M).
     """
     HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)  # one product, not one a feature
     S = HP @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
-    distance = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
+    distance: FloatArray = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
+    return distance
+
+
+def chi2_gate(distance: FloatArray, dof: IntArray, multiplier: float) -> BoolArray:
+    """Which features (F,) agree with the state at 95 %, by `innovation_distances` of (F,) rows."""
     bounds = np.array([chi2_bound(max(int(d), 1)) for d in dof])
     passed: BoolArray = (distance < multiplier * bounds) & (dof > 0)
     return passed

@@ -13,8 +13,14 @@ from scipy.linalg import block_diag
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.msckf.agreement import scaled, shares
-from ovmot.msckf.features import PointRows, chi2_gate, reproject, triangularize
+from ovmot.msckf.agreement import agreement
+from ovmot.msckf.features import (
+    PointRows,
+    chi2_gate,
+    innovation_distances,
+    reproject,
+    triangularize,
+)
 from ovmot.msckf.landmarks import NO_ANCHOR, Landmarks
 from ovmot.msckf.state import CLONE_SIZE, Clones, State
 from ovmot.msckf.update import ekf_update
@@ -103,16 +109,17 @@ def update_landmarks(
     start = state.first_clone - len(state.calibration)
     columns = np.arange(start, len(state.covariance))
     P = state.covariance[start:, start:]
-    passed = chi2_gate(P, H, residual, rows, chi2_multiplier)
+    distance = innovation_distances(P, H, residual)
+    passed = chi2_gate(distance, rows, chi2_multiplier)
     seen = rows > 0
     refused = np.where(seen & ~passed, state.landmarks.refused + 1, state.landmarks.refused)
     refused = np.where(passed, 0, refused)
     state = replace(state, landmarks=replace(state.landmarks, refused=refused))
-    share = shares(state, H, residual, columns, passed)
-    if not share.any():
+    agreed = agreement(state, H, residual, columns, distance, passed)
+    if agreed is None:
         return state
-    H, residual = scaled(H, residual, share)
-    return ekf_update(state, H, columns, residual, np.ones(len(residual)))
+    variance = np.ones(len(agreed.residual))
+    return ekf_update(state, agreed.H, columns, agreed.residual, variance, agreed.L)
 
 
 def add_landmarks(

@@ -4,27 +4,36 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
-from scipy.linalg.lapack import dpstrf
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dgeqrt, dpstrf
 from scipy.special import chdtri
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.msckf.state import State, box_plus
 
+_QR_BLOCK = 32
+
 
 def ekf_update(
-    state: State, H: FloatArray, columns: IntArray, residual: FloatArray, variance: FloatArray
+    state: State,
+    H: FloatArray,
+    columns: IntArray,
+    residual: FloatArray,
+    variance: FloatArray,
+    L: FloatArray | None = None,
 ) -> State:
     """Correct the state by residual = H δ[columns] + n, n ~ N(0, diag(variance)).
 
     `H` (m, k), `columns` (k,): which error coordinates H multiplies, `residual` (m,), `variance`
-    (m,). With L of `innovation_factor` and W = L⁻¹ H P the covariance becomes P - Wᵀ W, which stays
-    symmetric, at the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4).
+    (m,); `L`: the `innovation_factor` of these, if it is known already. With W = L⁻¹ H P the
+    covariance becomes P - Wᵀ W, which stays symmetric, at the cost of m N² (G. Golub & C. Van Loan,
+    sec. 6.5.4).
     """
     if len(residual) == 0:
         return state
     P = state.covariance
-    L = innovation_factor(P[np.ix_(columns, columns)], H, variance)
+    if L is None:
+        L = innovation_factor(P[np.ix_(columns, columns)], H, variance)
     W = solve_triangular(L, H @ P[columns], lower=True)
     moved = box_plus(state, W.T @ solve_triangular(L, residual, lower=True))
     updated = P - W.T @ W
@@ -52,9 +61,7 @@ def innovation_factor(P: FloatArray, H: FloatArray, variance: FloatArray) -> Flo
     C, pivots, rank, _ = dpstrf(P / np.outer(scale, scale), lower=1)
     HF = (H * scale)[:, pivots - 1] @ np.tril(C)[:, :rank]
     stacked = np.concatenate([HF.T, np.diag(np.sqrt(variance))])
-    R = qr(stacked, mode="r", overwrite_a=True)[0]
-    L: FloatArray = R[: len(variance)].T
-    return L
+    return triangular_part(stacked).T
 
 
 def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -66,9 +73,18 @@ def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArra
     m, n = H.shape
     if m <= n:
         return H, residual
-    stacked = np.column_stack([H, residual])
-    R = np.asarray(qr(stacked, mode="r", overwrite_a=True, check_finite=False)[0], np.float64)
+    R = triangular_part(np.column_stack([H, residual]))
     return R[:n, :n], R[:n, n]
+
+
+def triangular_part(A: FloatArray) -> FloatArray:
+    """The R (min(m, n), n) of A = Q R, with A (m, n).
+
+    By LAPACK's recursive blocks (E. Elmroth & F. Gustavson, IBM J. R&D 2000): for tall matrices on
+    one thread two to three times as quick as the usual routine, and as stable.
+    """
+    factored, _, _ = dgeqrt(min(_QR_BLOCK, *A.shape), A)
+    return np.triu(factored[: min(A.shape)])
 
 
 @lru_cache(maxsize=4096)
