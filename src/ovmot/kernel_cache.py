@@ -38,6 +38,11 @@ def compiled(function: _F, folder: Path | None) -> _F:
     return cast(_F, dispatcher)
 
 
+def part(function: _F) -> _F:
+    """A function that kernels of the same file call; it is kept with them."""
+    return _njit(function, cache=False)
+
+
 def _njit(function: _F, cache: bool) -> _F:
     decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache)
     return cast(_F, decorate(function))

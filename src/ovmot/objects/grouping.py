@@ -141,12 +141,17 @@ def _only(comparison: Comparison, index: IntArray) -> Comparison:
     """The comparison of some points."""
     return Comparison(
         comparison.span_s,
-        comparison.predicted[:, index],
-        comparison.residual[:, index],
-        comparison.J[:, index],
-        comparison.J_motion[:, index],
-        comparison.S[:, index],
-        comparison.S_motion[:, index],
+        *(
+            values.take(index, axis=1)
+            for values in (
+                comparison.predicted,
+                comparison.residual,
+                comparison.J,
+                comparison.J_motion,
+                comparison.S,
+                comparison.S_motion,
+            )
+        ),
     )
 
 
