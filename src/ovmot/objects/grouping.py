@@ -10,11 +10,14 @@ from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare, plane_sigma
-from ovmot.objects.motion_tests import fit_velocity
+from ovmot.geometry.triangulation import stereo_covariance
+from ovmot.objects.comparison import Slide, StereoHistory, carrying, compare, plane_sigma
+from ovmot.objects.comparison_kernel import (
+    displace_compiled,
+    fit_velocities_compiled,
+    weigh_compiled,
+)
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -34,18 +37,18 @@ class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
     `feature_id` (M,), `owner` (M,): the track that has it, -1 for none; `hops` (L,): frames since.
-    `history` holds the plane coordinates, `comparison` where the ego motion alone would put the
-    points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse
-    of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3): what it tells of
-    the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's
-    axes; `up` (3,): the world's z.
+    `history` holds the plane coordinates, `predicted` (L, M, 3) where the ego motion alone would
+    put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M, 4, 4):
+    inverse of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3): what it
+    tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the
+    camera's axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray
     owner: IntArray
     hops: IntArray
     history: StereoHistory
-    comparison: Comparison
+    predicted: FloatArray
     p_cam0: FloatArray
     cov_cam0: FloatArray
     weight: FloatArray
@@ -69,7 +72,11 @@ def motion_history(
     """
     rows = _rows(table, window, settings.look_back_s)
     history = _history(table, points, window, rows)
-    shown = _displaced(history, points, window, rig, settings) > _HINT
+    sigma = plane_sigma(rig, settings.pixel_sigma)
+    T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
+    T_now_then = carrying(history, window, rig)
+    off_rest = displace_compiled(history.then, points.p_cam0, T_now_then, T_cam1_cam0, sigma)
+    shown = off_rest > _HINT
     shown |= points.label != int(PointLabel.STATIC)
     with np.errstate(invalid="ignore"):
         near = points.p_cam0[:, 2] < settings.max_range_m
@@ -80,7 +87,7 @@ def motion_history(
         known = np.isfinite(history.then[:, candidate]).all(-1).sum(0)
         longest = np.argsort(-known, kind="stable")[: settings.max_points]
         candidate = np.sort(candidate[longest])
-    history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
+    history = _only(history, candidate)
     comparison = compare(
         history,
         window,
@@ -88,24 +95,29 @@ def motion_history(
         settings.pixel_sigma,
         Slide(settings.slide_per_hop_px, settings.slide_per_flow),
     )
-    W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
-    velocity, covariance, cost = fit_velocity(comparison, W)
-    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
+    tested, span_s = comparison.tested, comparison.span_s
+    slack = (0.5 * _FORGIVEN_ACCEL * span_s**2) ** 2
+    J, S = comparison.J_motion, comparison.S_motion
+    velocity, covariance, cost = fit_velocities_compiled(
+        comparison.residual, J, S, J, slack, span_s, tested
+    )
+    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * tested.sum(0) - 3, 1), 0.001)
     distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
     kept = np.flatnonzero(steady & (distance > _MOVES))
     if len(kept) < settings.min_points:
         return None
     p_cam0 = points.p_cam0[candidate[kept]]
-    comparison = _only(comparison, kept)
-    weight, information = _weights(comparison)
+    weight, information = weigh_compiled(
+        J.take(kept, axis=1), S.take(kept, axis=1), tested.take(kept, axis=1)
+    )
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
         owner=points.track_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
-        history=replace(history, then=history.then[:, kept], now=history.now[kept]),
-        comparison=comparison,
+        history=_only(history, kept),
+        predicted=comparison.predicted.take(kept, axis=1),
         p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, plane_sigma(rig, settings.pixel_sigma)),
+        cov_cam0=stereo_covariance(p_cam0, T_cam1_cam0, sigma),
         weight=weight,
         information=information,
         velocity=velocity[kept],
@@ -121,72 +133,16 @@ def _history(
     order = np.argsort(table.feature_id)
     column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
     return StereoHistory(
-        then=table.normalized[rows][:, column],
+        then=table.normalized[rows].take(column, axis=1),
         now=table.normalized[-1, column],
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
 
 
-def _weights(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
-    """Weights (L, M, 4, 4) of the residuals, and information (L, M, 3, 3) on the way since."""
-    tested = comparison.tested[..., None, None]
-    S = np.where(tested, comparison.S_motion, np.eye(4))
-    weight = np.where(tested, np.linalg.inv(S), 0.0)
-    J = np.where(tested, comparison.J_motion, 0.0)
-    return weight, np.swapaxes(J, -1, -2) @ weight @ J
-
-
-def _only(comparison: Comparison, index: IntArray) -> Comparison:
-    """The comparison of some points."""
-    return Comparison(
-        comparison.span_s,
-        *(
-            values.take(index, axis=1)
-            for values in (
-                comparison.predicted,
-                comparison.residual,
-                comparison.J,
-                comparison.J_motion,
-                comparison.S,
-                comparison.S_motion,
-            )
-        ),
-    )
-
-
-def _displaced(
-    history: StereoHistory,
-    points: ScenePoints,
-    window: PoseWindow,
-    rig: StereoRig,
-    settings: ObjectSettings,
-) -> FloatArray:
-    """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
-
-    Axes apart and with today's covariance for both times: quick, to spare most points the rest.
-    """
-    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
-    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
-    carried = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, rig.T_cam1_cam0))
-    apart = (carried - points.p_cam0) ** 2
-    sigma = plane_sigma(rig, settings.pixel_sigma)
-    now = stereo_covariance(points.p_cam0, rig.T_cam1_cam0, sigma)
-    variance = 2.0 * np.diagonal(now, axis1=1, axis2=2)
-    squared = (apart / variance).sum(-1)
-    oldest: FloatArray = np.zeros(len(points.feature_id))
-    for row in squared[::-1]:
-        oldest = np.where(np.isfinite(row), row, oldest)
-    return oldest
-
-
-def _with_acceleration(comparison: Comparison) -> FloatArray:
-    """Covariance (L, N, 4, 4) of residuals when the velocity may change on the way."""
-    tested = comparison.tested[..., None, None]
-    J = np.where(tested, comparison.J_motion, 0.0)
-    S = np.where(tested, comparison.S_motion, np.eye(4))
-    slack = (0.5 * _FORGIVEN_ACCEL * comparison.span_s**2) ** 2
-    return S + J @ np.swapaxes(J, -1, -2) * slack[:, None, None, None]
+def _only(history: StereoHistory, index: IntArray) -> StereoHistory:
+    """The history of some points."""
+    return replace(history, then=history.then.take(index, axis=1), now=history.now[index])
 
 
 def _rows(table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...]) -> IntArray:

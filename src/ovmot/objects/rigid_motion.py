@@ -60,7 +60,7 @@ def best_row(points: MotionHistory, index: IntArray, accel_sigma: float) -> int:
     accelerated (standard deviation in m/s²) grows with the span: the least expected squared error.
     """
     trace, seen = velocity_errors_compiled(points.information, points.weight, index)
-    span = points.comparison.span_s
+    span = points.history.span_s
     error = trace / span**2 + 2.0 * (0.5 * accel_sigma * span) ** 2
     return int(np.argmin(np.where(seen >= _SHARE_OF_POINTS * seen.max(), error, np.inf)))
 
@@ -75,10 +75,10 @@ def ransac_motion(
     likely (M. Fischler, R. Bolles, 1981).
     """
     n = len(index)
-    p, q = points.comparison.predicted[row, index], points.p_cam0[index]
+    p, q = points.predicted[row, index], points.p_cam0[index]
     sigma = np.sqrt(points.cov_cam0[index, 2, 2])
     seen, weight = points.history.now[index], points.weight[row, index]
-    least_cosine = float(np.cos(_MAX_RATE * points.comparison.span_s[row]))
+    least_cosine = float(np.cos(_MAX_RATE * points.history.span_s[row]))
     best_cost, best_T = np.inf, np.eye(4)
     best = np.zeros(n, dtype=np.bool_)
     for drawn in range(_BATCH, _BATCH * _MAX_BATCHES + 1, _BATCH):
