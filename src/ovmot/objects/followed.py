@@ -68,21 +68,22 @@ class Sightings:
 
     def add(self, timestamp_ns: int, seen: ScenePoints, T_world_cam0: FloatArray) -> FeatureMotions:
         """Take a frame in, let those go that are too old, and say how its features moved."""
-        recent = timestamp_ns - self._stamps <= 1e9 * _MEMORY_S
+        first = int(np.searchsorted(self._stamps, timestamp_ns - round(1e9 * _MEMORY_S)))
         order = np.argsort(self._feature_id)
         column = np.searchsorted(self._feature_id, seen.feature_id, sorter=order)
         column = order[np.minimum(column, len(order) - 1)] if len(order) else column
-        new = np.ones(len(column), dtype=np.bool_)
+        T, n = len(self._stamps) - first, len(column)
+        p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
         if len(order):
             new = self._feature_id[column] != seen.feature_id
-        T, n = int(recent.sum()), len(column)
-        p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
-        p_world[:T, ~new] = self._p_world[recent][:, column[~new]]
-        covariance[:T, ~new] = self._covariance[recent][:, column[~new]]
+            self._p_world[first:].take(column, axis=1, out=p_world[:T])
+            self._covariance[first:].take(column, axis=1, out=covariance[:T])
+            p_world[:T, new] = np.nan
+            covariance[:T, new] = np.nan
         R = T_world_cam0[:3, :3]
         p_world[T] = se3.apply(T_world_cam0, seen.p_cam0)
         covariance[T] = R @ seen.cov_cam0 @ R.T
-        self._stamps = np.append(self._stamps[recent], timestamp_ns)
+        self._stamps = np.append(self._stamps[first:], timestamp_ns)
         self._feature_id, self._p_world, self._covariance = seen.feature_id, p_world, covariance
         self.last = self._motions()
         return self.last

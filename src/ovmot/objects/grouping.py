@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
+from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import stereo_covariance
 from ovmot.objects.comparison import Slide, StereoHistory, carrying, compare, plane_sigma
@@ -18,6 +18,7 @@ from ovmot.objects.comparison_kernel import (
     fit_velocities_compiled,
     weigh_compiled,
 )
+from ovmot.objects.components_kernel import components_compiled
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -168,15 +169,14 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     scaled = _stretched(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
     pairs = _near_pairs(scaled, settings.neighbour_radius_m)
     pairs = pairs[_same_velocity(points, pairs) & _may_be_linked(points.owner[pairs])]
-    n = len(points.feature_id)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, component = connected_components(graph, directed=False)
+    component = components_compiled(pairs, len(points.feature_id))
+    touching = cdist(scaled, scaled) <= settings.neighbour_radius_m
     several = np.flatnonzero(np.bincount(component) > 1)
     pieces = sorted((np.flatnonzero(component == k) for k in several), key=len, reverse=True)
     joined: list[IntArray] = []
     for piece in pieces:
         for k, whole in enumerate(joined):
-            if _are_one(points, scaled, whole, piece, settings):
+            if _are_one(points, touching, whole, piece, settings):
                 joined[k] = np.concatenate([whole, piece])
                 break
         else:
@@ -186,16 +186,15 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
 
 def _are_one(
     points: MotionHistory,
-    scaled: FloatArray,
+    touching: BoolArray,
     whole: IntArray,
     piece: IntArray,
     settings: ObjectSettings,
 ) -> bool:
     """Do two groups touch, move alike, and together measure no more across than a body?"""
-    if not may_be_one(main_owner(points.owner[whole]), main_owner(points.owner[piece])):
+    if not touching[whole[:, None], piece].any():
         return False
-    apart = np.linalg.norm(scaled[whole][:, None] - scaled[piece][None], axis=-1).min()
-    if apart > settings.neighbour_radius_m:
+    if not may_be_one(main_owner(points.owner[whole]), main_owner(points.owner[piece])):
         return False
     v_whole, v_piece = (np.median(points.velocity[index], axis=0) for index in (whole, piece))
     spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_whole))
@@ -205,7 +204,7 @@ def _are_one(
     dv = v_whole - v_piece
     if dv @ np.linalg.solve(C, dv) > _GATE:
         return False
-    across = np.cross(points.up, v_whole)
+    across = so3.hat(points.up) @ v_whole
     across = across / max(float(np.linalg.norm(across)), 1e-9)
     both = np.concatenate([whole, piece])
     along = points.p_cam0[both] @ across

@@ -39,13 +39,14 @@ def extract_motions(
     """The motions in one connected component, that with most points first."""
     found = []
     left = group
+    T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
     while len(left) >= settings.min_points:
         # How a body accelerates does not tell its points apart: look as far back as helps.
         row = best_row(points, left, accel_sigma=0.0)
         seen = left[points.weight[row, left, 0, 0] > 0.0]
         if len(seen) < settings.min_points:
             break
-        T, inlier = ransac_motion(points, seen, row, rig, rng)
+        T, inlier = ransac_motion(points, seen, row, T_cam1_cam0, rng)
         if inlier.sum() < settings.min_points:
             break
         found.append(RigidGroup(seen[inlier], row, T))
@@ -66,7 +67,11 @@ def best_row(points: MotionHistory, index: IntArray, accel_sigma: float) -> int:
 
 
 def ransac_motion(
-    points: MotionHistory, index: IntArray, row: int, rig: StereoRig, rng: np.random.Generator
+    points: MotionHistory,
+    index: IntArray,
+    row: int,
+    T_cam1_cam0: FloatArray,
+    rng: np.random.Generator,
 ) -> tuple[FloatArray, BoolArray]:
     """Motion (4, 4) and inliers (n,) of the points (n,), all seen in `row`.
 
@@ -83,7 +88,7 @@ def ransac_motion(
     best = np.zeros(n, dtype=np.bool_)
     for drawn in range(_BATCH, _BATCH * _MAX_BATCHES + 1, _BATCH):
         cost, T, inlier = best_motion_compiled(
-            _triples(n, rng), p, q, sigma, seen, weight, rig.T_cam1_cam0, least_cosine
+            _triples(n, rng), p, q, sigma, seen, weight, T_cam1_cam0, least_cosine
         )
         if cost < best_cost:
             best_cost, best_T, best = cost, T, inlier
