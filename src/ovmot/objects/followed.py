@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.triangulation import inverse_3x3, squared_distance
 from ovmot.types import ScenePoints
 
 _MIN_FEATURES = 3
@@ -136,9 +137,8 @@ def join(
         return joins
     C = motions.velocity_cov[index] + _SPEED_SPREAD**2 * np.eye(3)
     off = motions.velocity[index] - velocity
-    with_body = (off * np.linalg.solve(C + velocity_cov, off[..., None])[..., 0]).sum(-1)
-    v = motions.velocity[index]
-    at_rest = (v * np.linalg.solve(C, v[..., None])[..., 0]).sum(-1)
+    with_body = squared_distance(off, C + velocity_cov)
+    at_rest = squared_distance(motions.velocity[index], C)
     # an unsure body would take up anything around it
     near_speed = np.linalg.norm(off, axis=1) < np.maximum(
         _LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity))
@@ -154,8 +154,8 @@ def body_of(motions: FeatureMotions, own: BoolArray) -> FollowedBody:
 
 
 def _as_one(motions: FeatureMotions, index: IntArray, strayed: IntArray) -> FollowedBody:
-    W = np.linalg.inv(motions.velocity_cov[index])
-    P_v = np.linalg.inv(W.sum(0))
+    W = inverse_3x3(motions.velocity_cov[index])
+    P_v = inverse_3x3(W.sum(0))
     mean = P_v @ (W @ motions.velocity[index][..., None])[..., 0].sum(0)
     points = motions.p_world[index]
     P = np.zeros((6, 6))
@@ -168,8 +168,7 @@ def _agreeing(velocity: FloatArray, C: FloatArray, before: FloatArray) -> BoolAr
     """The largest set (N,) of features whose velocities are those of one of them."""
     apart = velocity[:, None] - velocity[None]
     spread = C[:, None] + C[None] + _SPEED_SPREAD**2 * np.eye(3)
-    d = (apart * np.linalg.solve(spread, apart[..., None])[..., 0]).sum(-1)
-    votes = d < _AGREE_SIGMAS**2
+    votes = squared_distance(apart, spread) < _AGREE_SIGMAS**2
     best = votes.sum(1)
     # among equals the one that goes as the body did
     off = np.linalg.norm(velocity - before, axis=1)

@@ -11,7 +11,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import stereo_covariance
+from ovmot.geometry.triangulation import squared_distance, stereo_covariance
 from ovmot.objects.comparison import Slide, StereoHistory, carrying, compare, plane_sigma
 from ovmot.objects.comparison_kernel import (
     displace_compiled,
@@ -103,8 +103,7 @@ def motion_history(
         comparison.residual, J, S, J, slack, span_s, tested
     )
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * tested.sum(0) - 3, 1), 0.001)
-    distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
-    kept = np.flatnonzero(steady & (distance > _MOVES))
+    kept = np.flatnonzero(steady & (squared_distance(velocity, covariance) > _MOVES))
     if len(kept) < settings.min_points:
         return None
     p_cam0 = points.p_cam0[candidate[kept]]
@@ -262,6 +261,5 @@ def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:
     a, b = pairs[:, 0], pairs[:, 1]
     dv = points.velocity[a] - points.velocity[b]
     C = points.velocity_cov[a] + points.velocity_cov[b] + _SPEED_SPREAD**2 * np.eye(3)
-    distance = (dv * np.linalg.solve(C, dv[..., None])[..., 0]).sum(-1)
-    agrees: BoolArray = distance < _GATE
+    agrees: BoolArray = squared_distance(dv, C) < _GATE
     return agrees
