@@ -42,6 +42,11 @@ def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
     return cast(_F, dispatcher)
 
 
+def part(function: _F) -> _F:
+    """A function that kernels of the same file call; it is kept with them."""
+    return _njit(function, cache=False, reorder=False)
+
+
 def _njit(function: _F, cache: bool, reorder: bool) -> _F:
     fastmath = {"reassoc", "contract", "nsz"} if reorder else False
     decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache, fastmath=fastmath)

@@ -11,6 +11,7 @@ from ovmot.geometry.triangulation import (
     inverse_3x3,
     project_plane,
     project_stereo,
+    squared_distance,
     stereo_covariance,
     triangulate_many_views,
     triangulate_stereo,
@@ -109,6 +110,14 @@ def test_inverse_3x3_is_that_of_numpy(shape: tuple[int, ...]) -> None:
     scale = np.array([1e-3, 1.0, 1e4])
     A = A * scale[:, None] * scale
     np.testing.assert_allclose(inverse_3x3(A), np.linalg.inv(A), rtol=1e-8)
+
+
+def test_squared_distances_are_those_of_a_solved_system() -> None:
+    rng = np.random.default_rng(4)
+    L, off = rng.normal(0.0, 1.0, (5, 7, 3, 3)), rng.normal(0.0, 1.0, (5, 7, 3))
+    C = L @ np.swapaxes(L, -1, -2) + 0.1 * np.eye(3)
+    expected = (off * np.linalg.solve(C, off[..., None])[..., 0]).sum(-1)
+    np.testing.assert_allclose(squared_distance(off, C), expected, rtol=1e-8)
 
 
 def test_inverse_3x3_of_a_singular_matrix_is_not_finite() -> None:

@@ -10,7 +10,7 @@ from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
-from ovmot.objects.refinement import BodyViews, Weighting, refine_bodies
+from ovmot.objects.refinement import BodyViews, refine_bodies
 
 TOLD = ObjectSettings(slide_per_hop_px=0.0, slide_per_flow=0.0, pixel_sigma=0.3)
 TURN = np.ones(2, dtype=np.bool_)
@@ -45,34 +45,6 @@ def views(
         return BodyViews(seen, np.repeat([0, 1], 10), T_world_cam0, span, 10.0 * span, centre)
 
     return make
-
-
-def _points(views: BodyViews, rig: StereoRig) -> FloatArray:
-    p = triangulate_stereo(views.seen[-1], rig.T_cam1_cam0)
-    return np.column_stack([p[:, :2], np.ones(len(p))]) / p[:, 2:]
-
-
-def test_derivatives_are_those_of_finite_differences(
-    rig: StereoRig, views: Callable[..., BodyViews]
-) -> None:
-    told = ObjectSettings(slide_per_hop_px=0.2, slide_per_flow=0.01)
-    given = views(0.3, 1)
-    given.seen[1, 3] = np.nan
-    weighting = Weighting(given, rig, told)
-    point = _points(given, rig)
-    r, by_point, by_twist = weighting.residuals(point, TWIST)
-    assert np.all(r[3, 4:8] == 0.0) and np.all(by_twist[3, 4:8] == 0.0)
-    step = 1e-6
-    for k in range(3):
-        moved = point + step * np.eye(3)[k]
-        numeric = (r - weighting.residuals(moved, TWIST)[0])[..., 0] / step
-        np.testing.assert_allclose(by_point[..., k], numeric, rtol=1e-4, atol=1e-2)
-    for k in range(6):
-        numeric = (
-            weighting.residuals(point, TWIST - step * np.eye(6)[k])[0]
-            - weighting.residuals(point, TWIST + step * np.eye(6)[k])[0]
-        )[..., 0] / (2.0 * step)
-        np.testing.assert_allclose(by_twist[..., k], numeric, rtol=1e-5, atol=1e-4)
 
 
 def test_without_noise_the_motion_and_the_points_are_exact(

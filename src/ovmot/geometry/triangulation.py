@@ -88,6 +88,13 @@ def inverse_3x3(matrix: FloatArray) -> FloatArray:
     return inverse
 
 
+def squared_distance(off: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distances offᵀ C⁻¹ off (...,) of (..., 3) with covariances C."""
+    weighted = (inverse_3x3(covariance) @ off[..., None])[..., 0]
+    total: FloatArray = (off * weighted).sum(-1)
+    return total
+
+
 @dataclass(frozen=True, slots=True)
 class ManyViewPoints:
     """Points (F, 3) in world, their depth (F,) in the anchor view, and which are sound (F,)."""

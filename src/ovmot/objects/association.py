@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.id_sets import contained
 
 _GATE = 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
 _SHARED = 2  # features that make a pair possible though the state says no
@@ -16,13 +17,17 @@ _NONE = 2.0  # costs as much as the worst pair: no track gives way to make anoth
 def shared_share(
     of_tracks: Sequence[IntArray], of_measurements: Sequence[IntArray]
 ) -> tuple[FloatArray, IntArray]:
-    """Share and number (T, M) of common features, as a share of the smaller set."""
-    share = np.zeros((len(of_tracks), len(of_measurements)))
-    count = np.zeros(share.shape, dtype=np.int64)
-    for i, a in enumerate(of_tracks):
-        for j, b in enumerate(of_measurements):
-            count[i, j] = len(np.intersect1d(a, b, assume_unique=True))
-            share[i, j] = count[i, j] / max(min(len(a), len(b)), 1)
+    """Share and number (T, M) of common features, as a share of the smaller set.
+
+    Ids of tracks rise.
+    """
+    ids = np.concatenate(of_measurements)
+    of = np.repeat(np.arange(len(of_measurements)), [len(b) for b in of_measurements])
+    count = np.array(
+        [np.bincount(of[contained(ids, a)], minlength=len(of_measurements)) for a in of_tracks]
+    )
+    n_a, n_b = np.array([len(a) for a in of_tracks]), np.array([len(b) for b in of_measurements])
+    share = count / np.maximum(np.minimum(n_a[:, None], n_b), 1)
     return share, count
 
 

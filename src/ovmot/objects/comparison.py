@@ -12,7 +12,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
+from ovmot.objects.comparison_kernel import compare_points_compiled
 from ovmot.types import PoseWindow
 
 
@@ -84,73 +84,48 @@ def compare(
     C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now + what
     a followed patch slides as its view changes.
     """
-    sigma = plane_sigma(rig, sigma_px)
-    T_c1_c0 = rig.T_cam1_cam0
-    p_then = triangulate_stereo(history.then, T_c1_c0)
-    C_then = stereo_covariance(p_then, T_c1_c0, sigma)
+    return Comparison(
+        history.span_s,
+        *compare_points_compiled(
+            np.ascontiguousarray(history.then),
+            np.ascontiguousarray(history.now),
+            carrying(history, window, rig),
+            _ego_covariance(history.clone_index, window, rig),
+            np.ascontiguousarray(rig.T_cam1_cam0),
+            plane_sigma(rig, sigma_px),
+            slide.px / rig.cam0.fx,
+            slide.per_flow,
+        ),
+    )
 
+
+def carrying(history: StereoHistory, window: PoseWindow, rig: StereoRig) -> FloatArray:
+    """Motions (L, 4, 4) of resting points from each earlier left camera into the present one."""
     T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
-    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
-    predicted = se3.apply(T_now_then[:, None], p_then)
-    predicted = np.where(predicted[..., 2:] > 0.1, predicted, np.nan)
-    R = T_now_then[:, None, :3, :3]
-    C = R @ C_then @ np.swapaxes(R, -1, -2)
-    C = C + _ego_covariance(history.clone_index, p_then, window, rig)
-
-    seen, J = project_stereo(predicted, T_c1_c0)
-    flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
-    variance = (slide.px / rig.cam0.fx) ** 2 + (slide.per_flow * flow) ** 2
-    noise = np.diag(sigma**2) + variance[..., None, None] * np.eye(4)
-    S = J @ C @ np.swapaxes(J, -1, -2) + noise
-    p_now = triangulate_stereo(history.now, T_c1_c0)
-    _, J_now = project_stereo(p_now, T_c1_c0)
-    S_motion = J_now @ C @ np.swapaxes(J_now, -1, -2) + noise
-    J_motion = secant_jacobian(predicted, p_now, T_c1_c0)
-    return Comparison(history.span_s, predicted, history.now - seen, J, J_motion, S, S_motion)
+    return se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
 
 
-def secant_jacobian(p_from: FloatArray, p_to: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
-    """D (..., 4, 3) with h(p_to) - h(p_from) = D (p_to - p_from) for both views h, exactly.
+def _ego_covariance(clone_index: IntArray, window: PoseWindow, rig: StereoRig) -> FloatArray:
+    """Covariance (L, 6, 6) of (φ, τ): a carried point p of the present left camera goes by
+    [p]x φ + τ as the two poses err.
 
-    In one view, with x = X/Z: x' - x = ((X' - X) - x (Z' - Z)) / Z'.
+    In the IMU's frame, with R = R_nᵀ R_t and t = R_nᵀ (t_t - t_n), p_now = R p_t + t goes by
+    [p_now]x (δθ_n - R δθ_t) + [t]x R δθ_t + R_nᵀ (δt_t - δt_n), poses perturbed on the right.
     """
-    out = np.zeros((*np.broadcast_shapes(p_from.shape, p_to.shape)[:-1], 4, 3))
-    for side, T in enumerate((np.eye(4), T_cam1_cam0)):
-        start, end = se3.apply(T, p_from), se3.apply(T, p_to)
-        rows = np.zeros((*out.shape[:-2], 2, 3))
-        rows[..., 0, 0] = rows[..., 1, 1] = 1.0
-        rows[..., 2] = -start[..., :2] / start[..., 2:]
-        out[..., 2 * side : 2 * side + 2, :] = rows / end[..., 2, None, None] @ T[:3, :3]
-    return out
-
-
-def _ego_covariance(
-    clone_index: IntArray, p_then_cam0: FloatArray, window: PoseWindow, rig: StereoRig
-) -> FloatArray:
-    """Covariance (L, N, 3, 3) that the two poses' errors give to the carried point, camera frame.
-
-    p_now = R_nᵀ (R_t p_t + t_t - t_n): by δθ_n: [p_now]x, by δt_n: -R_nᵀ,
-    by δθ_t: -R_nᵀ R_t [p_t]x, by δt_t: R_nᵀ.
-    """
-    n_rows, n_features = p_then_cam0.shape[:2]
     T_now, T_then = window.T_world_imu[-1], window.T_world_imu[clone_index]
-    p_then = se3.apply(rig.T_imu_cam0, p_then_cam0)
-    p_now = se3.apply((se3.inverse(T_now) @ T_then)[:, None], p_then)
-    R_now_T = T_now[:3, :3].T
-    J = np.empty((n_rows, n_features, 3, 12))
-    J[..., 0:3] = so3.hat(p_now)
-    J[..., 3:6] = -R_now_T
-    J[..., 6:9] = -(R_now_T @ T_then[:, None, :3, :3]) @ so3.hat(p_then)
-    J[..., 9:12] = R_now_T
+    relative = se3.inverse(T_now) @ T_then
+    R, t = relative[:, :3, :3], relative[:, :3, 3]
+    A = np.zeros((len(clone_index), 6, 12))
+    A[:, :3, :3], A[:, :3, 6:9] = np.eye(3), -R
+    A[:, 3:, 3:6], A[:, 3:, 9:] = -T_now[:3, :3].T, T_now[:3, :3].T
+    A[:, 3:, 6:9] = so3.hat(t) @ R
+    # into the camera's axes and about its centre
+    R_cam0_imu = rig.T_imu_cam0[:3, :3].T
+    A = np.concatenate([R_cam0_imu @ A[:, :3], R_cam0_imu @ A[:, 3:]], axis=1)
+    A[:, 3:] += so3.hat(R_cam0_imu @ rig.T_imu_cam0[:3, 3]) @ A[:, :3]
     last = len(window.timestamp_ns) - 1
-    P = np.stack([_pair_covariance(window.covariance, last, int(k)) for k in clone_index])
-    J = rig.T_imu_cam0[:3, :3].T @ J
-    out: FloatArray = J @ P[:, None] @ np.swapaxes(J, -1, -2)
+    pose = np.column_stack([np.full_like(clone_index, last), clone_index])
+    index = (6 * pose[..., None] + np.arange(6)).reshape(-1, 12)
+    P = window.covariance[index[:, :, None], index[:, None, :]]
+    out: FloatArray = A @ P @ np.swapaxes(A, 1, 2)
     return out
-
-
-def _pair_covariance(covariance: FloatArray, a: int, b: int) -> FloatArray:
-    """Joint covariance (12, 12) of clones a and b."""
-    index = np.r_[6 * a : 6 * a + 6, 6 * b : 6 * b + 6]
-    pair: FloatArray = covariance[np.ix_(index, index)]
-    return pair

@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.triangulation import inverse_3x3, squared_distance
 from ovmot.types import ScenePoints
 
 _MIN_FEATURES = 3
@@ -79,21 +80,22 @@ class Sightings:
 
     def add(self, timestamp_ns: int, seen: ScenePoints, T_world_cam0: FloatArray) -> FeatureMotions:
         """Take a frame in, let those go that are too old, and say how its features moved."""
-        recent = timestamp_ns - self._stamps <= 1e9 * _MEMORY_S
+        first = int(np.searchsorted(self._stamps, timestamp_ns - round(1e9 * _MEMORY_S)))
         order = np.argsort(self._feature_id)
         column = np.searchsorted(self._feature_id, seen.feature_id, sorter=order)
         column = order[np.minimum(column, len(order) - 1)] if len(order) else column
-        new = np.ones(len(column), dtype=np.bool_)
+        T, n = len(self._stamps) - first, len(column)
+        p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
         if len(order):
             new = self._feature_id[column] != seen.feature_id
-        T, n = int(recent.sum()), len(column)
-        p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
-        p_world[:T, ~new] = self._p_world[recent][:, column[~new]]
-        covariance[:T, ~new] = self._covariance[recent][:, column[~new]]
+            self._p_world[first:].take(column, axis=1, out=p_world[:T])
+            self._covariance[first:].take(column, axis=1, out=covariance[:T])
+            p_world[:T, new] = np.nan
+            covariance[:T, new] = np.nan
         R = T_world_cam0[:3, :3]
         p_world[T] = se3.apply(T_world_cam0, seen.p_cam0)
         covariance[T] = R @ seen.cov_cam0 @ R.T
-        self._stamps = np.append(self._stamps[recent], timestamp_ns)
+        self._stamps = np.append(self._stamps[first:], timestamp_ns)
         self._feature_id, self._p_world, self._covariance = seen.feature_id, p_world, covariance
         self.last = self._motions()
         return self.last
@@ -170,10 +172,7 @@ def rest_or_body(
     C = motions.velocity_cov[index] + _SPEED_SPREAD**2 * np.eye(3)
     v = motions.velocity[index]
     off = v - velocity
-    at_rest: FloatArray = (v * np.linalg.solve(C, v[..., None])[..., 0]).sum(-1)
-    spread = C + velocity_cov
-    with_body: FloatArray = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(-1)
-    return at_rest, with_body
+    return squared_distance(v, C), squared_distance(off, C + velocity_cov)
 
 
 def body_of(motions: FeatureMotions, own: BoolArray) -> FollowedBody:
@@ -182,8 +181,8 @@ def body_of(motions: FeatureMotions, own: BoolArray) -> FollowedBody:
 
 
 def _as_one(motions: FeatureMotions, index: IntArray, strayed: IntArray) -> FollowedBody:
-    W = np.linalg.inv(motions.velocity_cov[index])
-    P_v = np.linalg.inv(W.sum(0))
+    W = inverse_3x3(motions.velocity_cov[index])
+    P_v = inverse_3x3(W.sum(0))
     mean = P_v @ (W @ motions.velocity[index][..., None])[..., 0].sum(0)
     points = motions.p_world[index]
     P = np.zeros((6, 6))
@@ -196,8 +195,7 @@ def _agreeing(velocity: FloatArray, C: FloatArray, before: FloatArray) -> BoolAr
     """The largest set (N,) of features whose velocities are those of one of them."""
     apart = velocity[:, None] - velocity[None]
     spread = C[:, None] + C[None] + _SPEED_SPREAD**2 * np.eye(3)
-    d = (apart * np.linalg.solve(spread, apart[..., None])[..., 0]).sum(-1)
-    votes = d < _AGREE_SIGMAS**2
+    votes = squared_distance(apart, spread) < _AGREE_SIGMAS**2
     best = votes.sum(1)
     # among equals the one that goes as the body did
     off = np.linalg.norm(velocity - before, axis=1)

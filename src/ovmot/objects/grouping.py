@@ -3,18 +3,28 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare, plane_sigma
-from ovmot.objects.motion_tests import fit_velocity
+from ovmot.geometry.triangulation import squared_distance, stereo_covariance
+from ovmot.objects.comparison import (
+    Comparison,
+    Slide,
+    StereoHistory,
+    carrying,
+    compare,
+    plane_sigma,
+)
+from ovmot.objects.comparison_kernel import (
+    displace_compiled,
+    fit_velocities_compiled,
+    weigh_compiled,
+)
+from ovmot.objects.components_kernel import components_compiled
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -38,18 +48,18 @@ class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
     `feature_id` (M,), `owner` (M,): the track that has it, -1 for none; `hops` (L,): frames since.
-    `history` holds the plane coordinates, `comparison` where the ego motion alone would put the
-    points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse
-    of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3): what it tells of
-    the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's
-    axes; `up` (3,): the world's z.
+    `history` holds the plane coordinates, `predicted` (L, M, 3) where the ego motion alone would
+    put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M, 4, 4):
+    inverse of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3): what it
+    tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the
+    camera's axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray
     owner: IntArray
     hops: IntArray
     history: StereoHistory
-    comparison: Comparison
+    predicted: FloatArray
     p_cam0: FloatArray
     cov_cam0: FloatArray
     weight: FloatArray
@@ -73,7 +83,11 @@ def motion_history(
     """
     rows = _rows(table, window, settings.look_back_s)
     history = _history(table, points, window, rows)
-    shown = _displaced(history, points, window, rig, settings) > _HINT
+    sigma = plane_sigma(rig, settings.pixel_sigma)
+    T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
+    T_now_then = carrying(history, window, rig)
+    off_rest = displace_compiled(history.then, points.p_cam0, T_now_then, T_cam1_cam0, sigma)
+    shown = off_rest > _HINT
     shown |= points.label != int(PointLabel.STATIC)
     with np.errstate(invalid="ignore"):
         near = points.p_cam0[:, 2] < settings.max_range_m
@@ -83,7 +97,7 @@ def motion_history(
     known = np.isfinite(history.then[:, candidate]).all(-1).sum(0)
     u, owner = points.pixels[candidate, 0], points.track_id[candidate]
     candidate = candidate[_chosen(known, u, owner, settings)]
-    history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
+    history = _only(history, candidate)
     comparison = compare(
         history,
         window,
@@ -95,21 +109,20 @@ def motion_history(
     if not steady.all():
         comparison = _shortened(comparison, ~steady)
         velocity, covariance, steady = _fit(comparison)
-    distance = (velocity * np.linalg.solve(covariance, velocity[..., None])[..., 0]).sum(-1)
-    kept = np.flatnonzero(steady & (distance > _MOVES))
+    kept = np.flatnonzero(steady & (squared_distance(velocity, covariance) > _MOVES))
     if len(kept) < settings.min_points:
         return None
     p_cam0 = points.p_cam0[candidate[kept]]
-    comparison = _only(comparison, kept)
-    weight, information = _weights(comparison)
+    J, S = comparison.J_motion.take(kept, axis=1), comparison.S_motion.take(kept, axis=1)
+    weight, information = weigh_compiled(J, S, comparison.tested.take(kept, axis=1))
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
         owner=points.track_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
-        history=replace(history, then=history.then[:, kept], now=history.now[kept]),
-        comparison=comparison,
+        history=_only(history, kept),
+        predicted=comparison.predicted.take(kept, axis=1),
         p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, rig.T_cam1_cam0, plane_sigma(rig, settings.pixel_sigma)),
+        cov_cam0=stereo_covariance(p_cam0, T_cam1_cam0, sigma),
         weight=weight,
         information=information,
         velocity=velocity[kept],
@@ -138,10 +151,13 @@ def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSet
 
 def _fit(comparison: Comparison) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Velocity (M, 3), its covariance (M, 3, 3), and whether it explains all rows (M,)."""
-    W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
-    velocity, covariance, cost = fit_velocity(comparison, W)
-    freedom = np.maximum(4 * comparison.tested.sum(0) - 3, 1)
-    return velocity, covariance, cost < _FIT_SLACK * chdtri(freedom, 0.001)
+    tested, span_s, J = comparison.tested, comparison.span_s, comparison.J_motion
+    slack = (0.5 * _FORGIVEN_ACCEL * span_s**2) ** 2
+    velocity, covariance, cost = fit_velocities_compiled(
+        comparison.residual, J, comparison.S_motion, J, slack, span_s, tested
+    )
+    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * tested.sum(0) - 3, 1), 0.001)
+    return velocity, covariance, steady
 
 
 def _shortened(comparison: Comparison, which: BoolArray) -> Comparison:
@@ -159,67 +175,16 @@ def _history(
     order = np.argsort(table.feature_id)
     column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
     return StereoHistory(
-        then=table.normalized[rows][:, column],
+        then=table.normalized[rows].take(column, axis=1),
         now=table.normalized[-1, column],
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
 
 
-def _weights(comparison: Comparison) -> tuple[FloatArray, FloatArray]:
-    """Weights (L, M, 4, 4) of the residuals, and information (L, M, 3, 3) on the way since."""
-    tested = comparison.tested[..., None, None]
-    S = np.where(tested, comparison.S_motion, np.eye(4))
-    weight = np.where(tested, np.linalg.inv(S), 0.0)
-    J = np.where(tested, comparison.J_motion, 0.0)
-    return weight, np.swapaxes(J, -1, -2) @ weight @ J
-
-
-def _only(comparison: Comparison, index: IntArray) -> Comparison:
-    """The comparison of some points."""
-    return Comparison(
-        comparison.span_s,
-        comparison.predicted[:, index],
-        comparison.residual[:, index],
-        comparison.J[:, index],
-        comparison.J_motion[:, index],
-        comparison.S[:, index],
-        comparison.S_motion[:, index],
-    )
-
-
-def _displaced(
-    history: StereoHistory,
-    points: ScenePoints,
-    window: PoseWindow,
-    rig: StereoRig,
-    settings: ObjectSettings,
-) -> FloatArray:
-    """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
-
-    Axes apart and with today's covariance for both times: quick, to spare most points the rest.
-    """
-    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
-    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
-    carried = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, rig.T_cam1_cam0))
-    apart = (carried - points.p_cam0) ** 2
-    sigma = plane_sigma(rig, settings.pixel_sigma)
-    now = stereo_covariance(points.p_cam0, rig.T_cam1_cam0, sigma)
-    variance = 2.0 * np.diagonal(now, axis1=1, axis2=2)
-    squared = (apart / variance).sum(-1)
-    oldest: FloatArray = np.zeros(len(points.feature_id))
-    for row in squared[::-1]:
-        oldest = np.where(np.isfinite(row), row, oldest)
-    return oldest
-
-
-def _with_acceleration(comparison: Comparison) -> FloatArray:
-    """Covariance (L, N, 4, 4) of residuals when the velocity may change on the way."""
-    tested = comparison.tested[..., None, None]
-    J = np.where(tested, comparison.J_motion, 0.0)
-    S = np.where(tested, comparison.S_motion, np.eye(4))
-    slack = (0.5 * _FORGIVEN_ACCEL * comparison.span_s**2) ** 2
-    return S + J @ np.swapaxes(J, -1, -2) * slack[:, None, None, None]
+def _only(history: StereoHistory, index: IntArray) -> StereoHistory:
+    """The history of some points."""
+    return replace(history, then=history.then.take(index, axis=1), now=history.now[index])
 
 
 def _rows(table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...]) -> IntArray:
@@ -245,9 +210,8 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     scaled = _stretched(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
     pairs = _near_pairs(scaled, settings.neighbour_radius_m)
     pairs = pairs[_same_velocity(points, pairs) & _may_be_linked(points.owner[pairs])]
-    n = len(points.feature_id)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, component = connected_components(graph, directed=False)
+    component = components_compiled(pairs, len(points.feature_id))
+    apart = cdist(scaled, scaled)
     several = np.flatnonzero(np.bincount(component) > 1)
     found = [np.flatnonzero(component == k) for k in several]
     cut = [piece for whole in found for piece in _cut_where_wide(points, whole, settings)]
@@ -255,7 +219,7 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     joined: list[IntArray] = []
     for piece in pieces:
         for k, whole in enumerate(joined):
-            if _are_one(points, scaled, whole, piece, settings):
+            if _are_one(points, apart, whole, piece, settings):
                 joined[k] = np.concatenate([whole, piece])
                 break
         else:
@@ -291,7 +255,7 @@ def _across(points: MotionHistory, index: IntArray) -> tuple[FloatArray, float]:
 
 def _are_one(
     points: MotionHistory,
-    scaled: FloatArray,
+    apart: FloatArray,
     whole: IntArray,
     piece: IntArray,
     settings: ObjectSettings,
@@ -300,9 +264,9 @@ def _are_one(
     owner, other = main_owner(points.owner[whole]), main_owner(points.owner[piece])
     if not may_be_one(owner, other):
         return False
-    apart = np.linalg.norm(scaled[whole][:, None] - scaled[piece][None], axis=-1).min()
     known = owner == other >= 0  # of one track: a lorry's far end
-    if apart > settings.neighbour_radius_m * (_KNOWN_REACH if known else 1.0):
+    reach = settings.neighbour_radius_m * (_KNOWN_REACH if known else 1.0)
+    if apart[whole[:, None], piece].min() > reach:
         return False
     v_whole, v_piece = (np.median(points.velocity[index], axis=0) for index in (whole, piece))
     spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_whole))
@@ -366,6 +330,5 @@ def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:
     a, b = pairs[:, 0], pairs[:, 1]
     dv = points.velocity[a] - points.velocity[b]
     C = points.velocity_cov[a] + points.velocity_cov[b] + _SPEED_SPREAD**2 * np.eye(3)
-    distance = (dv * np.linalg.solve(C, dv[..., None])[..., 0]).sum(-1)
-    agrees: BoolArray = distance < _GATE
+    agrees: BoolArray = squared_distance(dv, C) < _GATE
     return agrees

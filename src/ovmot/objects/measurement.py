@@ -7,7 +7,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.grouping import (
     MotionHistory,
     group_points,
@@ -91,35 +91,41 @@ def measure_objects(
     # 4 motions and points together, by reprojection
     views, twist, row = _views_of(history, found, window, rig, settings)
     index = np.concatenate([group.index for group in found])
-    may_turn = np.array([_shows_turns(history, group.index) for group in found])
+    may_turn = _shows_turns(history, index, views.body)
     refined = refine_bodies(views, twist, history.p_cam0[index], may_turn, rig, settings)
     # 5 what is left of each: enough points, moving, and not a part of another
-    T_world_cam0 = views.T_world_cam0[-1, 0]
+    members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found))]
+    enough = [k for k, own in enumerate(members) if len(own) >= settings.min_points]
+    measured = _with_ego_covariance(
+        _measurements(
+            enough, members, history.feature_id[index], views, refined, may_turn, settings
+        ),
+        window,
+        history.history.clone_index[row[enough]],
+    )
+    T_cam0_world = se3.inverse(views.T_world_cam0[-1, 0])
     is_static = STATIC_TESTS[settings.static_test]
     bodies: list[_Body] = []
-    for k in range(len(found)):
-        own = np.flatnonzero((views.body == k) & refined.inlier)
-        if len(own) < settings.min_points:
-            continue
-        then = int(history.history.clone_index[row[k]])
-        ids, turns = history.feature_id[index[own]], bool(may_turn[k])
-        body = _measurement(k, own, ids, views, refined, turns, settings)
-        body = _with_ego_covariance(body, window, then)
+    for k, body in zip(enough, measured, strict=True):
         fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
-        if fast and not is_static(_as_found(body, T_world_cam0), rig, settings):
-            owner = main_owner(history.owner[index[own]])
+        if fast and not is_static(_as_found(body, T_cam0_world), rig, settings):
+            owner = main_owner(history.owner[index[members[k]]])
             bodies.append(_Body(int(group_of[k]), owner, body))
     return _without_parts(bodies, settings)
 
 
-def _shows_turns(history: MotionHistory, index: IntArray) -> bool:
-    """Do the depths of points (n,) differ by more than stereo scatters them?
+def _shows_turns(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
+    """For which of B bodies do the depths of its points differ by more than stereo scatters them?
 
-    A turn shows as points at different depths move apart in the image. Where that difference is
-    but noise, a turn can be made to fit anything.
+    `index`, `body` (M,): points and whose they are. A turn shows as points at different depths move
+    apart in the image. Where that difference is but noise, a turn can be made to fit anything.
     """
-    scatter = np.var(history.p_cam0[index, 2], ddof=1)
-    return bool(scatter > _DEPTH_SIGNAL * history.cov_cam0[index, 2, 2].mean())
+    n = np.bincount(body)
+    z = history.p_cam0[index, 2]
+    off = z - (np.bincount(body, z) / n)[body]
+    scatter = np.bincount(body, off**2) / (n - 1)
+    noise = np.bincount(body, history.cov_cam0[index, 2, 2]) / n
+    return np.asarray(scatter > _DEPTH_SIGNAL * noise)
 
 
 def _views_of(
@@ -170,44 +176,50 @@ def _row_between(span_s: FloatArray, row: int) -> int:
     return int(younger[np.argmin(np.abs(span_s[younger] - 0.5 * span_s[row]))])
 
 
-def _measurement(
-    k: int,
-    own: IntArray,
+def _measurements(
+    chosen: list[int],
+    members: list[IntArray],
     feature_id: IntArray,
     views: BodyViews,
     refined: RefinedBodies,
-    may_turn: bool,
+    may_turn: BoolArray,
     settings: ObjectSettings,
-) -> ObjectMeasurement:
-    """Body k with its points `own` (n,): the covariance is that of the refinement alone."""
-    omega, v_origin = refined.twist[k, :3], refined.twist[k, 3:]
-    span = float(views.span_s[0, k])
-    p = refined.p_world[own]
-    position, size = _box(p, v_origin)
-    arm = position - views.origin[k]
-    # position follows the twist as its points do on the mean, velocity by v + ω x arm
-    J = np.zeros((6, 6))
-    J[:3] = refined.by_twist[own].mean(0)
-    J[3:, :3], J[3:, 3:] = -so3.hat(arm), np.eye(3)
-    covariance = J @ refined.covariance[k] @ J.T
-    covariance[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
-    covariance[3:, 3:] += (0.5 * settings.accel_sigma_mps2 * span) ** 2 * np.eye(3)
+) -> list[ObjectMeasurement]:
+    """The chosen bodies with their points: the covariances are those of the refinement alone."""
+    span = views.span_s[0]
+    shift = se3.make(np.eye(3), views.origin)
+    T_now_before = shift @ se3.exp(span[:, None] * refined.twist) @ se3.inverse(shift)
+    accel = (0.5 * settings.accel_sigma_mps2 * span) ** 2
     prior = settings.yaw_rate_sigma_rps**2
-    variance = float(refined.covariance[k, 2, 2]) if may_turn else prior
-    known = variance < _YAW_KNOWN**2 * prior
-    shift = se3.make(np.eye(3), views.origin[k])
-    return ObjectMeasurement(
-        feature_id=feature_id,
-        p_world=p,
-        position=position,
-        velocity=v_origin + np.cross(omega, arm),
-        yaw_rate=float(omega[2]) if known else float("nan"),
-        T_now_before=shift @ se3.exp(span * refined.twist[k]) @ se3.inverse(shift),
-        span_s=span,
-        covariance=covariance,
-        yaw_rate_variance=variance,
-        size=size,
-    )
+    out = []
+    for k in chosen:
+        own, omega, v_origin = members[k], refined.twist[k, :3], refined.twist[k, 3:]
+        p = refined.p_world[own]
+        position, size = _box(p, v_origin)
+        # position follows the twist as its points do on the mean, velocity by v + ω x arm
+        J = np.zeros((6, 6))
+        J[:3] = refined.by_twist[own].mean(0)
+        J[3:, :3], J[3:, 3:] = -so3.hat(position - views.origin[k]), np.eye(3)
+        covariance = J @ refined.covariance[k] @ J.T
+        covariance[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
+        covariance[3:, 3:] += accel[k] * np.eye(3)
+        variance = float(refined.covariance[k, 2, 2]) if may_turn[k] else prior
+        known = variance < _YAW_KNOWN**2 * prior
+        out.append(
+            ObjectMeasurement(
+                feature_id=feature_id[own],
+                p_world=p,
+                position=position,
+                velocity=v_origin + J[3:, :3] @ omega,
+                yaw_rate=float(omega[2]) if known else float("nan"),
+                T_now_before=T_now_before[k],
+                span_s=float(span[k]),
+                covariance=covariance,
+                yaw_rate_variance=variance,
+                size=size,
+            )
+        )
+    return out
 
 
 def _box(p_world: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -221,37 +233,42 @@ def _box(p_world: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _with_ego_covariance(
-    body: ObjectMeasurement, window: PoseWindow, then: int
-) -> ObjectMeasurement:
-    """The measurement with the uncertainty of the poses now and `then` added.
+    bodies: list[ObjectMeasurement], window: PoseWindow, then: IntArray
+) -> list[ObjectMeasurement]:
+    """The measurements with the uncertainty of the poses now and at clones `then` (B,) added.
 
     Points are known in the cameras' frames: δp = -R [p_imu]x δθ + δt moves where the body is at
     each time, and v = (p_now - p_then) / span. Right perturbations of the poses.
     """
-    p_then = se3.apply(se3.inverse(body.T_now_before), body.position)
-    last = len(window.timestamp_ns) - 1
-    J = np.zeros((7, 12))
-    for clone, p, at in ((last, body.position, 0), (then, p_then, 6)):
-        T = window.T_world_imu[clone]
-        R = T[:3, :3]
-        by_pose = np.hstack([-R @ so3.hat(R.T @ (p - T[:3, 3])), np.eye(3)])
-        sign = 1.0 if clone == last else -1.0
-        J[3:6, at : at + 6] = sign * by_pose / body.span_s
-        J[6, at : at + 3] = sign * R[2] / body.span_s
-        if clone == last:
-            J[:3, :6] = by_pose
-    pick = np.r_[6 * last : 6 * last + 6, 6 * then : 6 * then + 6]
-    added = J @ window.covariance[np.ix_(pick, pick)] @ J.T
-    return replace(
-        body,
-        covariance=body.covariance + added[:6, :6],
-        yaw_rate_variance=body.yaw_rate_variance + float(added[6, 6]),
-    )
+    if not bodies:
+        return []
+    p_now = np.array([body.position for body in bodies])
+    p_then = se3.apply(se3.inverse(np.array([body.T_now_before for body in bodies])), p_now)
+    span = np.array([body.span_s for body in bodies])[:, None, None]
+    last = np.full_like(then, len(window.timestamp_ns) - 1)
+    clone = np.stack([last, then])
+    R, t = window.T_world_imu[clone, :3, :3], window.T_world_imu[clone, :3, 3]
+    p_imu = (np.swapaxes(R, -1, -2) @ (np.stack([p_now, p_then]) - t)[..., None])[..., 0]
+    J = np.zeros((len(bodies), 7, 12))  # position, velocity, yaw rate by both poses
+    J[:, :3, :3], J[:, :3, 3:6] = -R[0] @ so3.hat(p_imu[0]), np.eye(3)
+    J[:, 3:6, :6] = J[:, :3, :6] / span
+    J[:, 3:6, 6:9], J[:, 3:6, 9:] = R[1] @ so3.hat(p_imu[1]) / span, -np.eye(3) / span
+    J[:, 6, :3], J[:, 6, 6:9] = R[0, :, 2] / span[..., 0], -R[1, :, 2] / span[..., 0]
+    pick = (6 * clone.T[..., None] + np.arange(6)).reshape(-1, 12)
+    P = window.covariance[pick[:, :, None], pick[:, None, :]]
+    added = J @ P @ np.swapaxes(J, -1, -2)
+    return [
+        replace(
+            body,
+            covariance=body.covariance + C[:6, :6],
+            yaw_rate_variance=body.yaw_rate_variance + float(C[6, 6]),
+        )
+        for body, C in zip(bodies, added, strict=True)
+    ]
 
 
-def _as_found(body: ObjectMeasurement, T_world_cam0: FloatArray) -> FoundMotion:
+def _as_found(body: ObjectMeasurement, T_cam0_world: FloatArray) -> FoundMotion:
     """The body's points now and, had they stayed where they were, in the present left camera."""
-    T_cam0_world = se3.inverse(T_world_cam0)
     before = se3.apply(se3.inverse(body.T_now_before), body.p_world)
     return FoundMotion(
         velocity=body.velocity,

@@ -11,8 +11,8 @@ from scipy.special import chdtri
 
 from ovmot.config import SplitSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.geometry.triangulation import inverse_3x3
 from ovmot.objects.comparison import Comparison
+from ovmot.objects.comparison_kernel import fit_velocities_compiled
 from ovmot.objects.support import neighbours_with_same_velocity
 
 _FORGIVEN_ACCEL = 3.0  # m/s²: what a road user's motion may depart from constant velocity
@@ -102,30 +102,14 @@ def examine_rest(comparison: Comparison, settings: SplitSettings) -> RestTest:
     span = comparison.span_s[:, None]
     S_rest = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
     distance = np.where(tested, _quadratic(S_rest, r), 0.0).max(0)
-    S_fit = S + JJt * ((0.5 * _FORGIVEN_ACCEL * span**2) ** 2)[..., None, None]
-    velocity, covariance, cost = fit_velocity(comparison, np.asarray(np.linalg.inv(S_fit)))
+    slack = (0.5 * _FORGIVEN_ACCEL * comparison.span_s**2) ** 2
+    velocity, covariance, cost = fit_velocities_compiled(
+        comparison.residual, comparison.J_motion, comparison.S, comparison.J, slack,
+        comparison.span_s, tested,
+    )  # fmt: skip
     rows = tested.sum(0)
     explained = cost < _FIT_SLACK * chdtri(np.maximum(4 * rows - 3, 1), 0.001)
     return RestTest(distance, rows, velocity, covariance, explained)
-
-
-def fit_velocity(
-    comparison: Comparison, W: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Velocity (N, 3) in m/s in the camera's axes, its covariance (N, 3, 3) and the cost (N,).
-
-    Weighted least squares on r = J v Δt over all earlier rows, `W` (L, N, 4, 4) the weights.
-    """
-    tested = comparison.tested
-    r = np.where(tested[..., None], comparison.residual, 0.0)
-    span = comparison.span_s[:, None, None, None]
-    Jv = np.where(tested[..., None, None], comparison.J_motion, 0.0) * span
-    JtW = np.swapaxes(Jv, -1, -2) @ W
-    covariance = inverse_3x3((JtW @ Jv).sum(0) + 1e-6 * np.eye(3))
-    v = covariance @ (JtW @ r[..., None]).sum(0)
-    left = r - (Jv @ v)[..., 0]
-    cost: FloatArray = np.einsum("lni,lnij,lnj->n", left, W, left)
-    return v[..., 0], covariance, cost
 
 
 def fixed_test(evidence: Evidence, settings: SplitSettings) -> Verdict:

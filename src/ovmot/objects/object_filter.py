@@ -7,7 +7,6 @@ has a Kalman filter of its own, the likelier one speaks.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.motion_models import (
@@ -116,20 +115,20 @@ def distance(body: BodyFilter, observation: Observation) -> float:
     e = body.best
     S = observation.H @ e.covariance @ observation.H.T + observation.covariance
     r = observation.value - observation.H @ e.state
-    return float(r @ cho_solve(cho_factor(S, lower=True), r))
+    return float(r @ np.linalg.solve(S, r))
 
 
 def _updated(estimate: Estimate, observation: Observation) -> Estimate:
     H, R = observation.H, observation.covariance
     P = estimate.covariance
-    S = H @ P @ H.T + R
-    factor = cho_factor(S, lower=True)
+    HP = H @ P
+    S = HP @ H.T + R
     r = observation.value - H @ estimate.state
-    gain = cho_solve(factor, H @ P).T
+    S_inverse = np.linalg.inv(S)
+    gain = HP.T @ S_inverse
     A = np.eye(N_STATE) - gain @ H
     covariance = A @ P @ A.T + gain @ R @ gain.T
-    log_det = 2.0 * np.log(np.diag(factor[0])).sum()
-    log_likelihood = -0.5 * (float(r @ cho_solve(factor, r)) + float(log_det))
+    log_likelihood = -0.5 * (float(r @ S_inverse @ r) + float(np.linalg.slogdet(S)[1]))
     return Estimate(
         estimate.state + gain @ r,
         0.5 * (covariance + covariance.T),

@@ -1,5 +1,7 @@
 """Which features lie where a track is."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -9,14 +11,21 @@ _MARGIN_M = 0.5  # beyond the points seen so far: a body is larger than what was
 _SIGMAS = 2.0  # of the feature's and the track's position
 
 
-def inside(track: Track, p_world: FloatArray, position_cov: FloatArray) -> BoolArray:
-    """Which points (N, 3), with covariance (N, 3, 3), may lie in a track's box, or near it."""
-    c, s = np.cos(track.yaw), np.sin(track.yaw)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    beyond = np.abs((p_world - track.position) @ R) - 0.5 * track.size
-    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-    variance = np.trace(position_cov, axis1=1, axis2=2)
-    variance = variance + np.trace(track.filter.best.covariance[:2, :2])
+def inside(tracks: Sequence[Track], p_world: FloatArray, position_cov: FloatArray) -> BoolArray:
+    """Which points (N, 3), with covariance (N, 3, 3), may lie in tracks' boxes, or near: (T, N)."""
+    if not tracks:
+        return np.zeros((0, len(p_world)), dtype=np.bool_)
+    position, size = np.array([t.position for t in tracks]), np.array([t.size for t in tracks])
+    yaw = np.array([t.yaw for t in tracks])
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y, z = (p_world[:, k] - position[:, k, None] for k in range(3))
+    half = 0.5 * size[:, :, None]
+    along = np.maximum(np.abs(c * x + s * y) - half[:, 0], 0.0)
+    across = np.maximum(np.abs(c * y - s * x) - half[:, 1], 0.0)
+    above = np.maximum(np.abs(z) - half[:, 2], 0.0)
+    of_tracks = np.array([np.trace(t.filter.best.covariance[:2, :2]) for t in tracks])
+    variance = np.trace(position_cov, axis1=1, axis2=2) + of_tracks[:, None]
     with np.errstate(invalid="ignore"):
+        outside = np.sqrt(along**2 + across**2 + above**2)
         near: BoolArray = outside < _MARGIN_M + _SIGMAS * np.sqrt(variance)
     return near

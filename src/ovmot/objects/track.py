@@ -1,5 +1,6 @@
 """One track: its filter, its features and its life."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -7,12 +8,12 @@ import numpy as np
 
 from ovmot.config import ObjectTrackSettings
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.id_sets import union
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.motion_models import VELOCITY, Agility
 from ovmot.objects.object_filter import (
     BodyFilter,
     Observation,
-    distance,
     observe,
     predict,
     start_filter,
@@ -43,9 +44,9 @@ class TrackState(StrEnum):
 class Track:
     """A body that was seen to move.
 
-    `center` (3,): middle of the points seen last; `offset` (3,) from the filter's position to it.
-    `feature_id`, `p_world`: its features and where they were (n, 3) at `features_ns`. `hits` counts
-    measurements; `measured_ns`, `updated_ns`: when the last one came, when anything was seen of it.
+    `offset` (3,): from the filter's position to the middle of the points seen last. `feature_id`
+    (n,): its features, rising. `hits` counts measurements; `measured_ns`, `updated_ns`: when the
+    last one came, when anything was seen of it.
     """
 
     track_id: int
@@ -89,9 +90,10 @@ def as_observation(
     the number of measurements that fall into the span.
     """
     R = measurement.covariance.copy()
-    slide = np.maximum(_SLIDE * float(np.max(size)), _LEAST_SLIDE_M)
-    R[:3, :3] += slide**2 * np.eye(3)
-    again = 1.0 if dt_s is None else max(measurement.span_s / max(dt_s, 1e-3), 1.0)
+    R[:3, :3] += _slide(size) ** 2 * np.eye(3)
+    again = 1.0
+    if dt_s is not None:
+        again = float(_repeats(np.array(measurement.span_s), np.array(dt_s)))
     R *= again
     return observe(
         measurement.position, measurement.velocity, R, measurement.yaw_rate,
@@ -109,7 +111,7 @@ def start_track(track_id: int, now_ns: int, measurement: ObjectMeasurement) -> T
         offset=np.zeros(3),
         size=np.minimum(size, _BIGGEST),
         yaw=float(np.arctan2(measurement.velocity[1], measurement.velocity[0])),
-        feature_id=measurement.feature_id,
+        feature_id=np.sort(measurement.feature_id),
         born_ns=now_ns,
         measured_ns=now_ns,
         updated_ns=now_ns,
@@ -123,22 +125,47 @@ def carried(track: Track, now_ns: int, settings: ObjectTrackSettings) -> Track:
     return replace(track, filter=predict(track.filter, now_ns, agility(settings)))
 
 
-def gap(track: Track, measurement: ObjectMeasurement, now_ns: int) -> float:
-    """Squared distance (6 degrees of freedom) between a predicted track and a measurement.
+def gaps(
+    tracks: Sequence[Track], measurements: Sequence[ObjectMeasurement], now_ns: int
+) -> FloatArray:
+    """Squared distances (T, M), 6 degrees of freedom, of predicted tracks and measurements.
 
     What drives is longer than what may have been seen of it: after an occlusion its other end may
     come into view.
     """
-    dt = 1e-9 * (now_ns - track.measured_ns)
-    size = np.maximum(track.size, measurement.size)
-    observation = as_observation(measurement, size, dt)
-    speed = float(np.hypot(track.velocity[0], track.velocity[1]))
-    if speed > DRIVES_MPS:
-        heading = track.velocity / speed
-        hidden = np.maximum(_VEHICLE_M - float(size[0]), 0.0) * _SLIDE
-        observation.covariance[:3, :3] += hidden**2 * np.outer(heading, heading)
-    six = Observation(observation.H[:6], observation.value[:6], observation.covariance[:6, :6])
-    return distance(track.filter, six)
+    best = [track.filter.best for track in tracks]
+    state = np.array([e.state[:6] for e in best])
+    P = np.array([e.covariance[:6, :6] for e in best])
+    value = np.array([np.concatenate([m.position, m.velocity]) for m in measurements])
+    R = np.array([m.covariance for m in measurements])
+    size = np.maximum(
+        np.array([t.size for t in tracks])[:, None], np.array([m.size for m in measurements])
+    )
+    since = np.array([1e-9 * (now_ns - t.measured_ns) for t in tracks])
+    again = _repeats(np.array([m.span_s for m in measurements]), since[:, None])
+    spread = np.zeros((len(tracks), len(measurements), 6, 6))
+    spread[..., :3, :3] = (_slide(size) ** 2)[..., None, None] * np.eye(3)
+    S = P[:, None] + (R + spread) * again[..., None, None]
+    v = state[:, 3:]
+    speed = np.hypot(v[:, 0], v[:, 1])
+    heading = np.where(speed > DRIVES_MPS, 1.0, 0.0)[:, None] * v / np.maximum(speed, 1e-9)[:, None]
+    hidden = np.maximum(_VEHICLE_M - size[..., 0], 0.0) * _SLIDE
+    S[..., :3, :3] += (hidden**2)[..., None, None] * (heading[:, :, None] * heading[:, None])[
+        :, None
+    ]
+    r = value - state[:, None]
+    distance: FloatArray = (r * np.linalg.solve(S, r[..., None])[..., 0]).sum(-1)
+    return distance
+
+
+def _slide(size: FloatArray) -> FloatArray:
+    """How far (...,) the middle of what is seen may lie off that of bodies of a size (..., 3)."""
+    return np.asarray(np.maximum(_SLIDE * size.max(-1), _LEAST_SLIDE_M))
+
+
+def _repeats(span_s: FloatArray, since_s: FloatArray) -> FloatArray:
+    """How many measurements share what was seen over a span, when one comes every `since_s`."""
+    return np.maximum(span_s / np.maximum(since_s, 1e-3), 1.0)
 
 
 def measured(
@@ -162,7 +189,7 @@ def measured(
         offset=measurement.position - body.best.state[:3],
         size=np.minimum(size, _BIGGEST),
         yaw=float(np.arctan2(velocity[1], velocity[0])) if fast else track.yaw,
-        feature_id=np.union1d(measurement.feature_id, track.feature_id),
+        feature_id=union(track.feature_id, measurement.feature_id),
         measured_ns=now_ns,
         updated_ns=now_ns,
         hits=hits,

@@ -11,12 +11,13 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.association import associate, shared_share
 from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body_of, follow, join
+from ovmot.objects.id_sets import contained, union, without
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
 from ovmot.objects.point_labels import label_points, moving_ids
 from ovmot.objects.region import inside
-from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gap, measured, start_track
+from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gaps, measured, start_track
 from ovmot.types import ObjectTrack, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
@@ -78,7 +79,8 @@ class ObjectTracker:
         # 5 features that joined, two tracks on one body, and those that are gone
         alive = [track for track in tracks if _lives(track, timestamp_ns, settings)]
         owner = _owner(alive, seen.feature_id)
-        alive = [_joined(track, motions, owner) for track in alive]
+        near = inside(alive, motions.p_world, motions.position_cov)
+        alive = [_joined(t, motions, owner, at) for t, at in zip(alive, near, strict=True)]
         self._tracks = _merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
         shown = tuple(
@@ -101,10 +103,10 @@ class ObjectTracker:
         """Features of this frame (N,) that should go on with a track, and its velocity (N, 3)."""
         velocity = np.full((len(seen.feature_id), 3), np.nan)
         motions = self._sightings.last
-        for track in self._tracks:
-            near = np.isin(motions.feature_id, track.feature_id)
-            near |= inside(track, motions.p_world, motions.position_cov) & ~motions.known
-            velocity[near] = track.velocity
+        near = inside(self._tracks, motions.p_world, motions.position_cov) & ~motions.known
+        for track, at in zip(self._tracks, near, strict=True):
+            own = contained(motions.feature_id, track.feature_id)
+            velocity[own | at] = track.velocity
         known = np.isfinite(velocity[:, 0])
         return seen.feature_id[known], velocity[known]
 
@@ -113,7 +115,7 @@ def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: in
     """The track by its features, without a measurement; coasting where they are lost."""
     if track.state == TrackState.TENTATIVE:
         return _unseen(track)
-    own = np.isin(motions.feature_id, track.feature_id)
+    own = contained(motions.feature_id, track.feature_id)
     for body in (follow(motions, own, track.velocity), _found_again(track, motions, owner)):
         if body is None or not _could_do(track, body, now_ns):
             continue
@@ -126,7 +128,7 @@ def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: in
             state=TrackState.CONFIRMED,
             filter=corrected,
             offset=body.position - corrected.best.state[:3],
-            feature_id=np.setdiff1d(track.feature_id, body.strayed),
+            feature_id=without(track.feature_id, body.strayed),
             updated_ns=now_ns,
         )
     return _unseen(track)
@@ -142,19 +144,22 @@ def _could_do(track: Track, body: FollowedBody, now_ns: int) -> bool:
 
 def _found_again(track: Track, motions: FeatureMotions, owner: IntArray) -> FollowedBody | None:
     """The body by any features where it should be that go as it should; None with less than two."""
-    joins = _joining(track, motions, owner)
+    near = inside([track], motions.p_world, motions.position_cov)[0]
+    joins = _joining(track, motions, owner, near)
     return body_of(motions, joins) if joins.sum() >= _MIN_FOUND else None
 
 
-def _joined(track: Track, motions: FeatureMotions, owner: IntArray) -> Track:
-    """The track with the features in its box that go as it goes, and without those far off it."""
+def _joined(track: Track, motions: FeatureMotions, owner: IntArray, near: BoolArray) -> Track:
+    """The track with the features in its box that go as it goes, and without those far off it.
+
+    `near` (N,): which features are in its box.
+    """
     if track.state == TrackState.COASTING:
         return track
     ids = track.feature_id
     if track.state == TrackState.CONFIRMED:
-        ids = np.union1d(ids, motions.feature_id[_joining(track, motions, owner)])
-    off = ~inside(track, motions.p_world, motions.position_cov)
-    return replace(track, feature_id=np.setdiff1d(ids, motions.feature_id[off & _placed(motions)]))
+        ids = union(ids, motions.feature_id[_joining(track, motions, owner, near)])
+    return replace(track, feature_id=without(ids, motions.feature_id[~near & _placed(motions)]))
 
 
 def _placed(motions: FeatureMotions) -> BoolArray:
@@ -162,11 +167,10 @@ def _placed(motions: FeatureMotions) -> BoolArray:
     return np.asarray(np.isfinite(motions.p_world[:, 0]))
 
 
-def _joining(track: Track, motions: FeatureMotions, owner: IntArray) -> BoolArray:
-    """Features (N,) in a track's box that go as it goes, do not rest and are no other track's."""
-    near = inside(track, motions.p_world, motions.position_cov)
-    near &= (owner < 0) | (owner == track.track_id)
-    return join(motions, near, track.velocity, track.filter.best.covariance[VELOCITY, VELOCITY])
+def _joining(track: Track, motions: FeatureMotions, owner: IntArray, near: BoolArray) -> BoolArray:
+    """Features (N,) `near` a track that go as it goes, do not rest and are no other track's."""
+    free = near & ((owner < 0) | (owner == track.track_id))
+    return join(motions, free, track.velocity, track.filter.best.covariance[VELOCITY, VELOCITY])
 
 
 def _unseen(track: Track) -> Track:
@@ -188,7 +192,7 @@ def _pairs(
 ) -> list[tuple[int, int]]:
     if not tracks or not measurements:
         return []
-    d = np.array([[gap(track, m, now_ns) for m in measurements] for track in tracks])
+    d = gaps(tracks, measurements, now_ns)
     share, count = shared_share(
         [t.feature_id for t in tracks], [m.feature_id for m in measurements]
     )
@@ -205,12 +209,12 @@ def _lives(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
 
 def _with_own_features(tracks: Sequence[Track], seen: ScenePoints) -> list[Track]:
     """Features that are no longer seen leave; of two tracks the older one keeps a common one."""
-    out, taken = [], np.empty(0, dtype=np.int64)
+    out, taken, in_view = [], np.empty(0, dtype=np.int64), np.sort(seen.feature_id)
     for track in tracks:
-        kept = np.isin(track.feature_id, seen.feature_id) & ~np.isin(track.feature_id, taken)
+        kept = contained(track.feature_id, in_view) & ~contained(track.feature_id, taken)
         lost = track.state == TrackState.COASTING
         ids = track.feature_id if lost else track.feature_id[kept]
-        taken = np.union1d(taken, ids)
+        taken = union(taken, ids)
         out.append(replace(track, feature_id=ids))
     return out
 
@@ -292,7 +296,7 @@ def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
     owner = np.full(len(feature_id), -1, dtype=np.int64)
     for track in tracks:
         if track.state != TrackState.COASTING:
-            owner[np.isin(feature_id, track.feature_id)] = track.track_id
+            owner[contained(feature_id, track.feature_id)] = track.track_id
     return owner
 
 

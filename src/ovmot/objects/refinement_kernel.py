@@ -1,0 +1,236 @@
+"""The compiled normal equations of the refinement, points eliminated.
+
+Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
+(`kernel_cache`). tests/objects/test_refinement_kernel.py holds its plain NumPy twin.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.kernel_cache import code_folder, compiled, part
+
+
+class Sightings(NamedTuple):
+    """M points of B bodies in V views, the last one now: what stays the same over iterations.
+
+    `seen` (V, M, 4): plane coordinates; `by_difference`, `by_sum` (V, M): inverse standard
+    deviations, 1/px, of the difference and the sum of both views, 0 where unseen. `body` (M,);
+    `span_s` (V, B). `into_view` (V, B, 4, 4): from world axes about each body's origin into its
+    views, `out_of_now` (B, 4, 4) out of the present one. `focal` (4,): pixels by plane unit.
+    """
+
+    seen: FloatArray
+    by_difference: FloatArray
+    by_sum: FloatArray
+    body: IntArray
+    span_s: FloatArray
+    into_view: FloatArray
+    out_of_now: FloatArray
+    T_cam1_cam0: FloatArray
+    focal: FloatArray
+
+
+class Reduced(NamedTuple):
+    """Normal equations of B bodies, and per point (M,) what was eliminated.
+
+    `information` (B, 6, 6), `gradient` (B, 6) of the twists. `left` (M,): squared residuals at the
+    best point, `weight` (M,): zero for outliers. `N_inverse` (M, 3, 3), `shift` (M, 3): a point's
+    covariance and its own step; `K` (M, 6, 3): it goes K^T δ back as the twist goes δ.
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    left: FloatArray
+    weight: FloatArray
+    inlier: BoolArray
+    N_inverse: FloatArray
+    shift: FloatArray
+    K: FloatArray
+
+
+def reduce_points(
+    point: FloatArray, twist: FloatArray, s: Sightings, huber: FloatArray, bound: FloatArray
+) -> Reduced:
+    """The normal equations at points (M, 3) (x, y, 1/z) and twists (B, 6), points eliminated.
+
+    `huber` (M,): root of the squared residuals to which a point's loss is quadratic; `bound` (M,):
+    squared residuals from which it is an outlier.
+    """
+    n_bodies, n_points, n_views = len(twist), len(point), len(s.seen)
+    out = Reduced(
+        np.zeros((n_bodies, 6, 6)), np.zeros((n_bodies, 6)), np.empty(n_points),
+        np.zeros(n_points), np.zeros(n_points, dtype=np.bool_), np.empty((n_points, 3, 3)),
+        np.empty((n_points, 3)), np.empty((n_points, 6, 3)),
+    )  # fmt: skip
+    C, J = np.empty((n_views, n_bodies, 3, 4)), np.empty((n_views, n_bodies, 6, 3))
+    for v in range(n_views):
+        for b in range(n_bodies):
+            through_body(s.span_s[v, b] * twist[b], s.into_view[v, b], C[v, b], J[v, b])
+    rows, products = np.empty((4, 10)), np.empty((10, 10))
+    for n in range(n_points):
+        b = s.body[n]
+        products[:, :] = 0.0
+        for v in range(n_views):
+            if s.by_sum[v, n] > 0.0:
+                view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, rows)
+                add_products(rows, s.span_s[v, b] > 0.0, products)
+        eliminate(products, n, out)
+        out.inlier[n] = out.left[n] < bound[n]
+        if out.inlier[n]:
+            out.weight[n] = min(1.0, huber[n] / math.sqrt(max(out.left[n], 1e-12)))
+            add_reduced(products, n, b, out)
+    return out
+
+
+@part
+def add_products(rows: FloatArray, moving: bool, products: FloatArray) -> None:
+    """Add rowsᵀ rows (10, 10), the upper triangle; the twist's part only where there is one."""
+    for i in range(4):
+        for a in range(10):
+            if moving or not 3 <= a < 9:
+                for c in range(a, 10):
+                    products[a, c] += rows[i, a] * rows[i, c]
+
+
+@part
+def eliminate(products: FloatArray, n: int, out: Reduced) -> None:
+    """Point n at its best for the given twist, from products of point (3), twist (6), residual."""
+    invert(products, out.N_inverse[n])
+    left = products[9, 9]
+    for a in range(3):
+        out.shift[n, a] = 0.0
+        for c in range(3):
+            out.shift[n, a] += out.N_inverse[n, a, c] * products[c, 9]
+        left -= out.shift[n, a] * products[a, 9]
+    out.left[n] = left
+    for a in range(6):
+        for c in range(3):
+            out.K[n, a, c] = 0.0
+            for d in range(3):
+                out.K[n, a, c] += products[d, 3 + a] * out.N_inverse[n, d, c]
+
+
+@part
+def add_reduced(products: FloatArray, n: int, b: int, out: Reduced) -> None:
+    """Add what point n tells of the twist of body b (the Schur complement), by its weight."""
+    for a in range(6):
+        for c in range(7):  # the last one is the gradient
+            told = products[3 + a, 3 + c] if a <= c else products[3 + c, 3 + a]
+            for d in range(3):
+                told -= out.K[n, a, d] * products[d, 3 + c]
+            if c < 6:
+                out.information[b, a, c] += out.weight[n] * told
+            else:
+                out.gradient[b, a] += out.weight[n] * told
+
+
+@part
+def through_body(xi: FloatArray, into_view: FloatArray, C: FloatArray, J: FloatArray) -> None:
+    """C (3, 4) = into_view exp(-ξ), and the left Jacobian of ξ = (ω, v) = s (ω', v') as J (6, 3).
+
+    J holds the blocks J and Q of [[J, 0], [Q, J]] = Σ ad(ξ)ⁿ / (n + 1)!, and exp(ω) = I + [ω]x J
+    (J. Solà et al., arXiv:1812.01537, sec. II-G), so that exp(-s (ξ' + δ)) = exp(-ξ) exp(-s J_l δ).
+    """
+    w, u = xi[:3], xi[3:]
+    A, B = np.eye(3), np.zeros((3, 3))
+    J[:3], J[3:] = A, B
+    for n in range(1, 60):
+        for k in range(3):
+            below = cross(w, B[:, k]), cross(u, A[:, k])
+            for a in range(3):
+                B[a, k] = (below[0][a] + below[1][a]) / (n + 1)
+            above = cross(w, A[:, k])
+            for a in range(3):
+                A[a, k] = above[a] / (n + 1)
+        J[:3] += A
+        J[3:] += B
+        if max(np.abs(A).max(), np.abs(B).max()) < 1e-17:
+            break
+    back = np.empty((3, 4))  # exp(-ξ)
+    for k in range(3):
+        column = cross(w, J[:3, k])
+        for a in range(3):
+            back[k, a] = column[a] + (1.0 if a == k else 0.0)
+    for a in range(3):
+        back[a, 3] = 0.0
+        for k in range(3):
+            back[a, 3] -= back[a, k] * (J[k, 0] * u[0] + J[k, 1] * u[1] + J[k, 2] * u[2])
+    for a in range(3):
+        for c in range(4):
+            C[a, c] = into_view[a, 3] if c == 3 else 0.0
+            for k in range(3):
+                C[a, c] += into_view[a, k] * back[k, c]
+
+
+@part
+def view_rows(
+    point: FloatArray, C: FloatArray, J: FloatArray, span: float, v: int, n: int, s: Sightings,
+    rows: FloatArray,
+) -> None:  # fmt: skip
+    """Rows (4, 10) of one view: derivatives by point (3) and twist (6), and the residual.
+
+    The point in the view is q = C D + ρ c, with D = R ray + ρ t about the origin. A motion
+    exp(τ) of D gives C [-[D]x, ρ I] τ, with τ = -s [[J, 0], [Q, J]] δ.
+    """
+    out, x, y, rho = s.out_of_now[s.body[n]], point[0], point[1], point[2]
+    D, G = np.empty(3), np.empty((3, 10))  # by point and twist, then q itself
+    for a in range(3):
+        D[a] = out[a, 0] * x + out[a, 1] * y + out[a, 2] + rho * out[a, 3]
+    for a in range(3):
+        G[a, 9] = C[a, 0] * D[0] + C[a, 1] * D[1] + C[a, 2] * D[2] + rho * C[a, 3]
+        for c, column in ((0, 0), (1, 1), (2, 3)):
+            G[a, c] = C[a, 0] * out[0, column] + C[a, 1] * out[1, column] + C[a, 2] * out[2, column]
+        G[a, 2] += C[a, 3]
+        # C [D]x, row by row: (C row) x D
+        turn = cross(C[a, :3], D)
+        for c in range(3):
+            by_turn, by_shift, by_both = 0.0, 0.0, 0.0
+            for k in range(3):
+                by_turn += turn[k] * J[k, c]
+                by_shift += C[a, k] * J[k, c]
+                by_both += C[a, k] * J[3 + k, c]
+            G[a, 3 + c] = span * (by_turn - rho * by_both)
+            G[a, 6 + c] = -span * rho * by_shift
+    T, f, minus, plus = s.T_cam1_cam0, s.focal, s.by_difference[v, n], s.by_sum[v, n]
+    q0, q1 = G[:, 9], np.empty(3)
+    for a in range(3):
+        q1[a] = T[a, 0] * q0[0] + T[a, 1] * q0[1] + T[a, 2] * q0[2] + rho * T[a, 3]
+    for i in range(2):
+        h0, h1 = q0[i] / q0[2], q1[i] / q1[2]
+        for c in range(10):
+            if c == 9:
+                left, right = s.seen[v, n, i] - h0, s.seen[v, n, 2 + i] - h1
+            else:
+                along = T[i, 0] * G[0, c] + T[i, 1] * G[1, c] + T[i, 2] * G[2, c]
+                depth = T[2, 0] * G[0, c] + T[2, 1] * G[1, c] + T[2, 2] * G[2, c]
+                if c == 2:
+                    along, depth = along + T[i, 3], depth + T[2, 3]
+                left, right = (G[i, c] - h0 * G[2, c]) / q0[2], (along - h1 * depth) / q1[2]
+            left, right = left * f[i], right * f[2 + i]
+            rows[i, c] = (left - right) * minus
+            rows[2 + i, c] = (left + right) * plus
+
+
+@part
+def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
+    """a x b of vectors (3,)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@part
+def invert(N: FloatArray, out: FloatArray) -> None:
+    """Inverse (3, 3) of a symmetric matrix, given by its upper triangle, by cofactors."""
+    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * A + b * B + c * C
+    out[0, 0], out[1, 1], out[2, 2] = A / det, (a * f - c * c) / det, (a * d - b * b) / det
+    out[0, 1] = out[1, 0] = B / det
+    out[0, 2] = out[2, 0] = C / det
+    out[1, 2] = out[2, 1] = (b * c - a * e) / det
+
+
+reduce_points_compiled = compiled(reduce_points, code_folder(Path(__file__)))

@@ -1,0 +1,190 @@
+"""The compiled search for the rigid motion that most points share.
+
+Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
+(`kernel_cache`). tests/objects/test_rigid_kernel.py holds its plain NumPy twin.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.kernel_cache import code_folder, compiled, part
+
+GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
+HEIGHT_SIGMAS = 4.0  # a triangle flatter than this many sigmas of its corners tells no rotation
+TURN_PENALTY = 11.34  # a rotation must explain as much more: 99 % of chi-squared, 3 more unknowns
+
+
+def best_motion(
+    triples: IntArray,
+    p: FloatArray,
+    q: FloatArray,
+    sigma: FloatArray,
+    seen: FloatArray,
+    weight: FloatArray,
+    T_cam1_cam0: FloatArray,
+    least_cosine: float,
+) -> tuple[float, FloatArray, BoolArray]:
+    """The cost, motion (4, 4) and inliers (n,) of the best of all proposals p -> q.
+
+    Each of the triples (H, 3) proposes its mean translation and, unless it is degenerate or turns
+    by more than `least_cosine` tells, its rigid motion. `p`, `q` (n, 3): points then and now in the
+    left camera, `sigma` (n,) of them in metres. `seen` (n, 4): plane coordinates now, `weight`
+    (n, 4, 4) theirs. The cost is the sum of squared distances, each at most `GATE`.
+    """
+    best_cost, best, T = np.inf, np.eye(4), np.eye(4)
+    inlier = np.zeros(len(p), dtype=np.bool_)
+    for h in range(len(triples)):
+        i, j, k = triples[h, 0], triples[h, 1], triples[h, 2]
+        T[:, :] = np.eye(4)
+        wi, wj, wk = sigma[i] ** -2.0, sigma[j] ** -2.0, sigma[k] ** -2.0
+        for a in range(3):
+            moved = wi * (q[i, a] - p[i, a]) + wj * (q[j, a] - p[j, a]) + wk * (q[k, a] - p[k, a])
+            T[a, 3] = moved / (wi + wj + wk)
+        cost = _cost(T, p, seen, weight, T_cam1_cam0, best_cost)
+        if cost < best_cost:
+            best_cost = cost
+            best[:, :] = T
+        wide = HEIGHT_SIGMAS * max(sigma[i], sigma[j], sigma[k])
+        if not _height(q[i], q[j], q[k]) > wide:
+            continue
+        _register(p[i], p[j], p[k], q[i], q[j], q[k], T)
+        if not 0.5 * (T[0, 0] + T[1, 1] + T[2, 2] - 1.0) > least_cosine:
+            continue
+        cost = TURN_PENALTY + _cost(T, p, seen, weight, T_cam1_cam0, best_cost - TURN_PENALTY)
+        if cost < best_cost:
+            best_cost = cost
+            best[:, :] = T
+    for n in range(len(p)):
+        inlier[n] = _distance(best, p[n], seen[n], weight[n], T_cam1_cam0) < GATE
+    return best_cost, best, inlier
+
+
+def velocity_errors(
+    information: FloatArray, weight: FloatArray, index: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """What points (n,) tell together of their way since each of L rows, and how many were seen.
+
+    Traces (L,) of the inverse of summed `information` (L, M, 3, 3), m²; a point is seen in a row
+    where its `weight` (L, M, 4, 4) is not zero.
+    """
+    trace, count = np.empty(len(information)), np.zeros(len(information), dtype=np.int64)
+    total = np.empty((3, 3))
+    for row in range(len(information)):
+        total[:, :] = 1e-6 * np.eye(3)
+        for n in index:
+            count[row] += weight[row, n, 0, 0] > 0.0
+            for a in range(3):
+                for b in range(3):
+                    total[a, b] += information[row, n, a, b]
+        A = total[1, 1] * total[2, 2] - total[1, 2] * total[2, 1]
+        B = total[1, 2] * total[2, 0] - total[1, 0] * total[2, 2]
+        C = total[1, 0] * total[2, 1] - total[1, 1] * total[2, 0]
+        minors = A + total[0, 0] * total[2, 2] - total[0, 2] * total[2, 0]
+        minors += total[0, 0] * total[1, 1] - total[0, 1] * total[1, 0]
+        trace[row] = minors / (total[0, 0] * A + total[0, 1] * B + total[0, 2] * C)
+    return trace, count
+
+
+@part
+def _cost(
+    T: FloatArray,
+    p: FloatArray,
+    seen: FloatArray,
+    weight: FloatArray,
+    T_cam1_cam0: FloatArray,
+    bound: float,
+) -> float:
+    """Sum of squared distances, each at most `GATE`; given up where it is beyond the bound."""
+    total = 0.0
+    for n in range(len(p)):
+        total += min(_distance(T, p[n], seen[n], weight[n], T_cam1_cam0), GATE)
+        if total >= bound:
+            break
+    return total
+
+
+@part
+def _distance(
+    T: FloatArray, p: FloatArray, seen: FloatArray, weight: FloatArray, T_cam1_cam0: FloatArray
+) -> float:
+    """Squared distance of a point p (3,) moved by T from where both views see it (4,)."""
+    x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
+    y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
+    z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+    S = T_cam1_cam0
+    x1 = S[0, 0] * x + S[0, 1] * y + S[0, 2] * z + S[0, 3]
+    y1 = S[1, 0] * x + S[1, 1] * y + S[1, 2] * z + S[1, 3]
+    z1 = S[2, 0] * x + S[2, 1] * y + S[2, 2] * z + S[2, 3]
+    r = (seen[0] - x / z, seen[1] - y / z, seen[2] - x1 / z1, seen[3] - y1 / z1)
+    total = 0.0
+    for a in range(4):
+        for b in range(4):
+            total += r[a] * weight[a, b] * r[b]
+    return total
+
+
+@part
+def _height(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """Smallest height of a triangle, metres."""
+    first = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2
+    second = (c[0] - b[0]) ** 2 + (c[1] - b[1]) ** 2 + (c[2] - b[2]) ** 2
+    third = (a[0] - c[0]) ** 2 + (a[1] - c[1]) ** 2 + (a[2] - c[2]) ** 2
+    along = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
+    along += (b[2] - a[2]) * (c[2] - b[2])
+    area = math.sqrt(max(first * second - along**2, 0.0))
+    return area / max(math.sqrt(max(first, second, third)), 1e-12)
+
+
+@part
+def _register(
+    p0: FloatArray, p1: FloatArray, p2: FloatArray, q0: FloatArray, q1: FloatArray, q2: FloatArray,
+    T: FloatArray,
+) -> None:  # fmt: skip
+    """Least-squares rigid motion T (4, 4) of a triangle p to a triangle q.
+
+    Both are flat: the normals meet, and the turn in the plane is Procrustes' in two dimensions.
+    """
+    P, x0, y0 = _in_own_axes(p0, p1, p2)
+    Q, u0, v0 = _in_own_axes(q0, q1, q2)
+    same, crossed = 0.0, 0.0
+    for k in range(3):
+        same += x0[k] * u0[k] + y0[k] * v0[k]
+        crossed += x0[k] * v0[k] - y0[k] * u0[k]
+    length = max(math.hypot(same, crossed), 1e-300)
+    c, s = same / length, crossed / length
+    for a in range(3):
+        first, second = Q[a, 0] * c + Q[a, 1] * s, Q[a, 1] * c - Q[a, 0] * s
+        T[a, 3] = (q0[a] + q1[a] + q2[a]) / 3.0
+        for b in range(3):
+            T[a, b] = first * P[b, 0] + second * P[b, 1] + Q[a, 2] * P[b, 2]
+            T[a, 3] -= T[a, b] * (p0[b] + p1[b] + p2[b]) / 3.0
+
+
+@part
+def _in_own_axes(
+    a: FloatArray, b: FloatArray, c: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Axes (3, 3) of a triangle, in columns, the last its normal; and its corners' coordinates (3,)
+    along the first two, from the middle."""
+    e = b - a
+    e = e / max(math.sqrt((e * e).sum()), 1e-300)
+    to_c = c - a
+    along = (to_c * e).sum()
+    f = to_c - along * e
+    height = math.sqrt((f * f).sum())
+    f = f / max(height, 1e-300)
+    axes = np.empty((3, 3))
+    axes[:, 0], axes[:, 1] = e, f
+    axes[0, 2] = e[1] * f[2] - e[2] * f[1]
+    axes[1, 2] = e[2] * f[0] - e[0] * f[2]
+    axes[2, 2] = e[0] * f[1] - e[1] * f[0]
+    x = np.array([0.0, ((b - a) * e).sum(), along])
+    y = np.array([0.0, 0.0, height])
+    return axes, x - x.mean(), y - y.mean()
+
+
+best_motion_compiled = compiled(best_motion, code_folder(Path(__file__)))
+velocity_errors_compiled = compiled(velocity_errors, code_folder(Path(__file__)))
