@@ -161,7 +161,7 @@ class Pipeline:
         self._pending: deque[FrontendFrame] = deque()
         self._last_frame_ns: int | None = None
         self._resume_at: FloatArray | None = None
-        self.not_started_because = "no frame was seen"
+        self.not_started_because: str | None = None
         self.dropped = 0
         self.counts: Counter[str] = Counter(
             resets=0, frames_mostly_moving=0, frames_degraded=0, frames_lost=0
@@ -225,6 +225,11 @@ class Pipeline:
         )
         self._watch_health(result.ego)
         return result
+
+    @property
+    def started(self) -> bool:
+        """Is there an ego source that runs?"""
+        return self._ego is not None
 
     def latest(self) -> EgoEstimate | None:
         """The state carried to the newest IMU sample, between frames; None without a start."""

@@ -34,7 +34,7 @@ from ovmot.msckf.start_in_motion import CannotStart, StartPrior, start_in_motion
 from ovmot.msckf.start_refinement import RefinedStart, refine_start, window_pixels
 from ovmot.msckf.start_window import StartWindow, filter_state
 from ovmot.msckf.state import ACCEL_BIAS, GYRO_BIAS, ImuState
-from ovmot.tracks import TrackTable, append_frame, empty_table, mark_used, share_clone
+from ovmot.tracks import TrackTable, append_frame, empty_table, mark_used
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 
 _MIN_REST_FRAMES = 3
@@ -83,15 +83,15 @@ class FilterStart:
     ) -> tuple[FilterEgo, TrackTable] | str:
         """A filter whose state is at the last frame's time, with the window's poses as clones and
         the table of what they saw, or why there is none yet."""
-        reason = "too few frames"
+        why, kind = "", "at rest"
         try:
             guess = self._at_rest(frames, imu)
             if isinstance(guess, str):
-                reason = f"not at rest: {guess}"
+                why, kind = f"not at rest: {guess}; ", "in motion"
                 guess = self._in_motion(frames, imu)
             return self._started(guess, imu)
         except (CannotStart, DatasetError, np.linalg.LinAlgError) as error:
-            return f"{reason}; in motion: {error}"
+            return f"{why}{kind}: {error}"
 
     def _at_rest(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> _Guess | str:
         settings = self.settings.initialization
@@ -136,7 +136,7 @@ class FilterStart:
         )  # fmt: skip
 
     def _started(self, guess: _Guess, imu: ImuBuffer) -> tuple[FilterEgo, TrackTable]:
-        """The refined filter and the table; all that the window saw of its features is used."""
+        """The refined filter, and the table in which what it used is marked."""
         refined = self._refined(guess, imu)
         if max(refined.factor_misfit, refined.pixel_misfit) > _MAX_MISFIT:
             raise CannotStart(
@@ -145,7 +145,7 @@ class FilterStart:
             )
         frames = guess.frames
         K, n = len(guess.imu_ns), len(frames)
-        kept = [0, n - 1] if guess.resting else range(n)[-self.settings.filter.max_clones :]
+        kept = range(n)[-self.settings.filter.max_clones :]
         clone_ns = np.array([frames[k].timestamp_ns for k in kept])
         state = filter_state(
             refined.window, refined.covariance, np.array([K - n + k for k in kept]), clone_ns,
@@ -163,7 +163,7 @@ class FilterStart:
         ego = FilterEgo(
             state, self.rig, self.noise, self.settings, guess.resting, frames[-1].timestamp_ns
         )
-        return ego, _table_of(frames, clone_ns, resting=guess.resting)
+        return ego, _table_of(frames, clone_ns, self._left_to_filter(guess))
 
     def _refined(self, guess: _Guess, imu: ImuBuffer) -> RefinedStart:
         settings = self.settings
@@ -189,14 +189,30 @@ class FilterStart:
                     at, settings.initialization.accel_bias_sigma_mps2, sigma_s, variance
                 ),
             ]  # fmt: skip
-            return [*known, rest_factor(at, settings.zero_velocity)] if guess.resting else known
+            return [*known, rest_factor(at)] if guess.resting else known
 
-        pixels = window_pixels(guess.frames, guess.feature_id, _MAX_FEATURES)
+        chosen = np.setdiff1d(guess.feature_id, self._left_to_filter(guess))
+        pixels = window_pixels(guess.frames, chosen, _MAX_FEATURES)
         blind = np.full((len(pixels), len(gyro) - len(guess.frames), 4), np.nan)
         return refine_start(
             window, factors, np.concatenate([blind, pixels], axis=1), self.rig, settings.filter,
             offset_is_free=sigma_s > 0.0,
         )  # fmt: skip
+
+    def _left_to_filter(self, guess: _Guess) -> IntArray:
+        """Features that the refinement does not use, and the filter therefore may.
+
+        Those that will become landmarks: of the features still seen, the ones seen longest. Their
+        tracks reach over the end of the window, and are worth more whole. At rest it is all of
+        them: images of a rig that stands add nothing to its rest.
+        """
+        frames = guess.frames
+        alive = frames[-1].feature_id
+        if guess.resting:
+            return np.unique(np.concatenate([f.feature_id for f in frames]))
+        views = np.sum([np.isin(alive, f.feature_id) for f in frames], axis=0)
+        longest = np.argsort(-views, kind="stable")[: self.settings.filter.max_landmarks]
+        return np.asarray(alive[longest])
 
     def _spaced(self, frames: Sequence[FrontendFrame]) -> list[FrontendFrame]:
         """The first and the last frame, and those between that are `clone_spacing_s` apart."""
@@ -227,16 +243,13 @@ def _with_velocities(
     return replace(window, velocity=np.array(velocity))
 
 
-def _table_of(frames: Sequence[FrontendFrame], clone_ns: IntArray, *, resting: bool) -> TrackTable:
-    """The table of a window whose every view of a point was used.
-
-    Frames of a rest without a clone share the first one.
-    """
+def _table_of(frames: Sequence[FrontendFrame], clone_ns: IntArray, left: IntArray) -> TrackTable:
+    """The table of the frames that are clones. What the refinement has used is marked; of the
+    features `left` it used none, and one view alone tells nothing."""
     table = empty_table()
     for frame in frames:
-        if resting or frame.timestamp_ns in clone_ns:
+        if frame.timestamp_ns in clone_ns:
             table = append_frame(table, frame)
-    for stamp in np.setdiff1d(table.frame_ns, clone_ns):
-        table = share_clone(table, int(stamp), int(clone_ns[0]))
     seen = np.isfinite(table.pixels[..., 0])
-    return mark_used(table, seen & (seen.sum(axis=0) > 1))
+    spent = (seen.sum(axis=0) > 1) & ~np.isin(table.feature_id, left)
+    return mark_used(table, seen & spent)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from ovmot.config import ZeroVelocitySettings
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.msckf.propagation import Integrator, Propagation, propagate_imu
@@ -22,6 +21,9 @@ from ovmot.types import ImuData, ImuNoise
 
 GAUGE_SIGMA = 1e-5  # m and rad: where the world begins and heads is said, not measured
 _GYRO_BIAS_SIGMA = 0.05  # rad/s
+_REST_SPEED_SIGMA = 0.02  # m/s
+_REST_TURN_SIGMA = 1e-5  # rad, between two instants of a rest
+_REST_SHIFT_SIGMA = 2e-3  # m, of a body that rocks on its springs
 _INTEGRATION_SIGMA = 1e-6  # rad, m, m/s: keeps a piece of one sample pair from being singular
 
 Factor = tuple[FloatArray, FloatArray]
@@ -93,15 +95,15 @@ def _piece(
     return r, J
 
 
-def rest_factor(window: StartWindow, still: ZeroVelocitySettings) -> Factor:
+def rest_factor(window: StartWindow) -> Factor:
     """9 rows an instant: no velocity, and the pose of the instant before."""
     T, n = window.T_world_imu, len(window)
-    sigma = np.repeat([still.rotation_sigma_rad, still.position_sigma_m], 3)
+    sigma = np.repeat([_REST_TURN_SIGMA, _REST_SHIFT_SIGMA], 3)
     r, J = np.zeros((n, INSTANT_SIZE)), np.zeros((n, INSTANT_SIZE, window.size))
     for k in range(n):
         here = J[k, :, window.columns(k)]
-        r[k, VELOCITY] = window.velocity[k] / still.velocity_sigma_mps
-        here[VELOCITY, VELOCITY] = np.eye(3) / still.velocity_sigma_mps
+        r[k, VELOCITY] = window.velocity[k] / _REST_SPEED_SIGMA
+        here[VELOCITY, VELOCITY] = np.eye(3) / _REST_SPEED_SIGMA
         if k == 0:
             continue
         before = J[k, :, window.columns(k - 1)]

@@ -32,7 +32,8 @@ from ovmot.types import FrontendFrame
 
 _ITERATIONS = 15
 _CONVERGED = 0.01  # standard deviations
-_UNUSUAL = 1.5  # times the usual error (root mean square): such a point counts a quarter
+_UNUSUAL = 1.5  # times the usual error, root mean square: such a point counts half
+_MIN_POINTS = 8
 _LEAST_ERROR = 1e-4  # variance of the pixels, where simulated ones are exact
 Information = tuple[FloatArray, FloatArray]
 """JᵀJ (N, N) and -Jᵀr (N,) of whitened residuals."""
@@ -41,7 +42,7 @@ Information = tuple[FloatArray, FloatArray]
 @dataclass(frozen=True, slots=True)
 class RefinedStart:
     """The window at its best, its covariance (N, N), and the root mean squares of the whitened
-    residuals: `imu_misfit` of the factors, `pixel_misfit` of the images."""
+    residuals: `factor_misfit` of the factors, `pixel_misfit` of the images."""
 
     window: StartWindow
     covariance: FloatArray
@@ -92,10 +93,15 @@ def _normal_equations(
         square, rows = square + float(r @ r), rows + len(r)
     if not len(pixels):
         return N, b, np.sqrt(square / rows), 0.0
-    seen = place_points(window, pixels, rig, settings)
-    N_images, b_images = image_information(window, weighted(seen))
-    views = max(float(seen.seen.sum()), 1.0)
-    pixel_misfit = np.sqrt(float((weighted(seen).residual ** 2).sum()) / views)
+    placed = place_points(window, pixels, rig, settings)
+    if len(placed.seen) < _MIN_POINTS:
+        raise np.linalg.LinAlgError(
+            f"{len(placed.seen)} of {len(pixels)} points fit the window's poses"
+            f" (at least {_MIN_POINTS})"
+        )
+    seen = weighted(placed)
+    N_images, b_images = image_information(window, seen)
+    pixel_misfit = np.sqrt(float((seen.residual**2).sum() / seen.seen.sum()))
     return N + N_images, b + b_images, np.sqrt(square / rows), pixel_misfit
 
 
@@ -129,7 +135,8 @@ def weighted(seen: Reprojection) -> Reprojection:
     rows = np.maximum(seen.seen.sum((1, 2)) - 3, 1)
     error = (seen.residual**2).sum((1, 2)) / rows
     usual = max(float(np.median(error)), _LEAST_ERROR)
-    root = 1.0 / (1.0 + error / (_UNUSUAL**2 * usual))[:, None, None]
+    full = 1.0 + 1.0 / _UNUSUAL**2  # the usual point and better ones count in full
+    root = np.minimum(full / (1.0 + error / (_UNUSUAL**2 * usual)), 1.0)[:, None, None]
     return Reprojection(
         seen.residual * root, seen.by_pose * root[..., None], seen.by_point * root[..., None],
         seen.by_calibration * root[..., None], seen.seen,

@@ -1,9 +1,9 @@
 """What the refinement of a start solves for: the instants of a window, and their box-plus.
 
 Error coordinates, in order: gyro bias, accelerometer bias, time offset, calibration (the common
-ones, as in the filter's state); then rotation, position and velocity of each instant (9 each). Rotation
-errors are on the right, everything else is additive. World has gravity along -z, so the direction
-of gravity is the roll and pitch of the first instant.
+ones, as in the filter's state); then rotation, position and velocity of each instant (9 each).
+Rotation errors are on the right, everything else is additive. World has gravity along -z, so the
+direction of gravity is the roll and pitch of the first instant.
 """
 
 from dataclasses import dataclass, replace
