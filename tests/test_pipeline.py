@@ -9,8 +9,9 @@ import pytest
 
 from ovmot import pipeline as pipeline_module
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import Settings
+from ovmot.config import ObjectSettings, Settings
 from ovmot.errors import DatasetError, OvmotError
+from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.given_ego import GivenEgo, GivenStart
@@ -87,11 +88,13 @@ def with_filter(rig: StereoRig) -> Pipeline:
     return Pipeline(rig, SETTINGS, FilterStart(rig, NOISE, SETTINGS))
 
 
-def with_poses(rig: StereoRig, frames: Sequence[StereoFrame]) -> Pipeline:
+def with_poses(
+    rig: StereoRig, frames: Sequence[StereoFrame], settings: Settings = SETTINGS
+) -> Pipeline:
     stamps = np.array([f.timestamp_ns for f in frames])
     positions = [[0.0, sideways(1e-9 * (int(s) - ORIGIN_NS))[0], 0.0] for s in stamps]
     T = se3.make(np.broadcast_to(np.eye(3), (len(stamps), 3, 3)), np.array(positions))
-    return Pipeline(rig, SETTINGS, GivenStart(GivenEgo(stamps, T, rig, SETTINGS.given_ego)))
+    return Pipeline(rig, settings, GivenStart(GivenEgo(stamps, T, rig, settings.given_ego)))
 
 
 def run(pipeline: Pipeline, events: Sequence[Event]) -> list[FrameResult]:
@@ -238,6 +241,29 @@ def test_given_poses_need_no_imu_and_find_the_moving_body(
     assert dynamic[outside & judged].mean() < 0.05
 
 
+def test_without_objects_nothing_is_grouped_and_nowhere_is_looked_closer(
+    painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("called without objects")
+
+    monkeypatch.setattr(pipeline_module, "measure_objects", never)
+    monkeypatch.setattr(pipeline_module, "ObjectTracker", never)
+    frames = frames_of(painted_pair, 8, body_mps=1.5)
+    off = SETTINGS.model_copy(update={"objects": ObjectSettings(enabled=False)})
+    pipeline = with_poses(painted_rig, frames, off)
+    looked: list[FloatArray] = []
+    monkeypatch.setattr(
+        StereoTracker, "focus", lambda _, uv, radius_px: looked.extend([uv, radius_px])
+    )
+    results = run(pipeline, frames)
+    assert (results[-1].points.label == int(PointLabel.DYNAMIC)).any()
+    assert all(result.tracks == () for result in results)
+    assert all((result.points.track_id == -1).all() for result in results)
+    assert looked
+    assert all(len(array) == 0 for array in looked)
+
+
 def test_no_update_ever_uses_a_feature_once_it_was_found_to_move(
     painted_rig: StereoRig, painted_pair: Pair, spy: "UpdateSpy"
 ) -> None:
@@ -291,8 +317,7 @@ def spy(monkeypatch: pytest.MonkeyPatch) -> UpdateSpy:
         monkeypatch.setattr(correction, name, update)
 
     for name, position in (
-        ("update_with_tracks", 2),
-        ("add_with_tracks", 4),
+        ("update_with_tracks", 3),
         ("update_landmarks", 3),
     ):
         watch(name, position)
@@ -433,7 +458,7 @@ def test_the_imu_does_not_pile_up_before_a_start(
     assert len(pipeline._imu) < 200 * (1.44 + 0.5 + 1.0 + 2.5)
 
 
-def test_where_most_seems_to_move_nothing_is_barred_for_good(
+def test_where_the_prediction_is_unsure_nothing_is_barred_for_good(
     painted_rig: StereoRig,
     drive: tuple[list[StereoFrame], list[ImuSample]],
     monkeypatch: pytest.MonkeyPatch,
@@ -442,13 +467,13 @@ def test_where_most_seems_to_move_nothing_is_barred_for_good(
     def panic(*arguments: object) -> Split:
         split = split_points(*arguments)  # type: ignore[arg-type]
         label = np.full_like(split.points.label, int(PointLabel.DYNAMIC))
-        return Split(replace(split.points, label=label), ~(label == 0), plausible=False)
+        return Split(replace(split.points, label=label), ~(label == 0), trusted=False)
 
     monkeypatch.setattr(pipeline_module, "split_points", panic)
     pipeline = with_filter(painted_rig)
     results = run(pipeline, merged(*drive))
     assert len(results) > 5
-    assert pipeline.counts["frames_mostly_moving"] >= len(results)
+    assert pipeline.counts["frames_split_unsure"] >= len(results)
     assert not pipeline._table.barred.any()
     assert pipeline._table.suspect.any()
 

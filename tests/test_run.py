@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from ovmot import run as run_module
-from ovmot.config import Settings
+from ovmot.config import ObjectSettings, Settings
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import DatasetError, InputError, OvmotError
 from ovmot.formats import ns_to_seconds
 from ovmot.geometry import se3
 from ovmot.given_ego import GivenStart
+from ovmot.outputs.run_writer import RunWriter, open_outputs
 from ovmot.pipeline import Pipeline
 from ovmot.run import RunOptions, imu_noise, run_sequence
 from ovmot.types import Event, FrameResult, ImuNoise
@@ -96,7 +97,32 @@ def test_without_points_those_files_are_not_there(painted_euroc: Path, tmp_path:
     run(painted_euroc, tmp_path / "out")
     names = {p.name for p in (tmp_path / "out").iterdir()}
     tables = {"trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv"}
-    assert names == {*tables, "run.json"}
+    assert names == {*tables, "objects_kitti.txt", "run.json"}
+
+
+def test_without_objects_there_is_a_table_without_rows_only(
+    painted_euroc: Path, tmp_path: Path
+) -> None:
+    off = SETTINGS.model_copy(update={"objects": ObjectSettings(enabled=False)})
+    run(painted_euroc, tmp_path / "out", off)
+    assert not (tmp_path / "out" / "objects_kitti.txt").exists()
+    assert (tmp_path / "out" / "tracks.csv").read_text().count("\n") == 1
+
+
+def test_tracks_have_the_numbers_of_their_frames_in_the_sequence(
+    painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Mapping[int, int]] = []
+
+    def spy(*args: Any, **told: Any) -> RunWriter:
+        asked.append(told["frame_number"])
+        return open_outputs(*args, **told)
+
+    monkeypatch.setattr(run_module, "open_outputs", spy)
+    poses = tmp_path / "poses.tum"
+    poses.write_text(tum_of_rest(STAMPS))
+    run(painted_euroc, tmp_path / "out", ego_poses=poses, first=3, last=7)
+    assert asked == [{stamp: i for i, stamp in enumerate(STAMPS)}]
 
 
 def test_given_poses_of_a_tum_file(painted_euroc: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ class TrackerSettings(Section):
     """Front end: corners, optical flow, stereo matching."""
 
     max_features: int = Field(250, ge=20, le=5000)
-    """Features kept alive in the left image."""
+    """Features kept alive in the left image, in both where each camera is by itself."""
     min_distance_px: float = Field(12.0, ge=2.0)
     """New corners keep this distance from each other and from tracked features."""
     fast_threshold: int = Field(15, ge=1, le=255)
@@ -54,8 +54,10 @@ class TrackerSettings(Section):
     """Contrast correction before matching: one gain, the histogram, local (CLAHE), or none."""
     klt_window_px: int = Field(11, ge=5, le=51)
     """Side of the patch that optical flow compares."""
-    klt_levels: int = Field(4, ge=1, le=8)
-    """Levels of the image pyramid."""
+    klt_near_levels: int = Field(3, ge=1, le=8)
+    """Levels of the image pyramid for a search around a predicted place."""
+    klt_levels: int = Field(5, ge=1, le=8)
+    """Levels for a search far around, where that found nothing."""
     covered_cell_px: int = Field(40, ge=8)
     """Side of image cells that get a feature whenever they hold none, whatever the number."""
     focus_features: int = Field(150, ge=0, le=2000)
@@ -64,10 +66,10 @@ class TrackerSettings(Section):
     """Distance that these keep from each other."""
     focus_width_m: float = Field(3.0, gt=0.0)
     """Width of the surroundings of a moving point in which they are sought."""
-    cameras: Literal["stereo", "left"] = "stereo"
-    """Match both cameras, or use the left one alone; nothing can be found to move then."""
+    cameras: Literal["stereo", "left", "each"] = "stereo"
+    """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
-    """Epipolar distance that the robust test between consecutive left images tolerates."""
+    """Epipolar distance that the robust test between consecutive images tolerates."""
 
 
 class EpipolarSettings(Section):
@@ -88,7 +90,7 @@ class FilterSettings(Section):
     """Faster frames are followed, but their clones leave so that the window spans more time."""
     integration: Literal["discrete", "rk4", "analytic"] = "rk4"
     """IMU integration: one step of mean rates, Runge-Kutta of 4th order, or in closed form."""
-    pixel_sigma: float = Field(1.5, gt=0.0)
+    pixel_sigma: float = Field(0.7, gt=0.0)
     """Standard deviation of a feature's position in the image, pixels, slid patches included."""
     chi2_multiplier: float = Field(1.0, gt=0.0)
     """Factor on the 95 % chi-squared bound of a feature's innovation."""
@@ -96,7 +98,7 @@ class FilterSettings(Section):
     """Features used in one update; those seen longest come first."""
     max_landmarks: int = Field(25, ge=0, le=500)
     """Features kept in the state as landmarks, those that outlive the window; 0 for none."""
-    landmark_pixel_sigma: float = Field(4.0, gt=0.0)
+    landmark_pixel_sigma: float = Field(1.5, gt=0.0)
     """The same of a landmark, pixels: a patch that slid stays so, its errors do not average out."""
     landmark_representation: Literal[
         "global_xyz", "global_inverse_depth", "anchored_xyz", "anchored_inverse_depth",
@@ -276,6 +278,8 @@ class ObjectSettings(Section):
     """Neighbouring groups that move alike and together are no wider across are one body."""
     min_points: int = Field(3, ge=3)
     """Bodies with fewer points are left out."""
+    noise: Literal["measured", "told"] = "measured"
+    """Noise of stereo pairs: measured by their distances to epipolar lines, or told."""
     pixel_sigma: float = Field(0.3, gt=0.0)
     """Standard deviation of each coordinate of a stereo pair, pixels."""
     slide_per_hop_px: float = Field(0.15, ge=0.0)
@@ -319,6 +323,8 @@ class ObjectTrackSettings(Section):
     """Measurements after which a track is confirmed."""
     confirm_s: float = Field(0.15, ge=0.0)
     """Time that they must span."""
+    missed_s: float = Field(0.15, ge=0.0)
+    """Missed for no longer than this, a confirmed track is still called confirmed."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""
     merge_frames: int = Field(3, ge=1)

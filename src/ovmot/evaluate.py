@@ -7,9 +7,15 @@ from pathlib import Path
 
 from rich.table import Table
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluation.association import associate_stamps
+from ovmot.evaluation.calibration import (
+    CalibrationErrors,
+    calibration_errors,
+    calibration_scalars,
+)
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
 from ovmot.evaluation.ego_plots import error_figure, nees_figure, save_figure
 from ovmot.evaluation.ego_truth import EgoTruth, read_ego_truth
@@ -43,18 +49,21 @@ class Evaluation:
     objects: ObjectMetrics | None = None
     labels: LabelCounts | None = None
     gate: GateCounts | None = None
+    calibration: CalibrationErrors | None = None
 
     def scalars(self) -> dict[str, float | None]:
         """Every metric as one flat table, names ending in the unit."""
         return {name: value for group in self.groups() for name, value in group.items()}
 
     def groups(self) -> tuple[dict[str, float | None], ...]:
-        """The same, apart: the ego motion, the moving objects, the labels, the stereo gate."""
+        """The same, apart: the ego motion, the moving objects, the labels, the stereo gate,
+        the calibration."""
         return (
             scalars(self.ego),
             {} if self.objects is None else object_scalars(self.objects),
             {} if self.labels is None else label_scalars(self.labels),
             {} if self.gate is None else gate_scalars(self.gate),
+            {} if self.calibration is None else calibration_scalars(self.calibration),
         )
 
 
@@ -79,18 +88,22 @@ def evaluate_run(run: Path, truth: Path, criteria: ObjectCriteria | None = None)
     return Evaluation(ego, frames, objects, labels, gate)
 
 
-def evaluate_features(run: Path, recording: FeatureRecording) -> Evaluation:
-    """Measure the run of a feature-level simulation against the simulation itself."""
-    truth = recording.truth()
-    return Evaluation(
-        evaluate_ego(
-            read_ego_run(run),
-            EgoTruth(
-                run, truth.timestamp_ns, truth.T_world_imu, truth.velocity, truth.gyro_bias,
-                truth.accel_bias,
-            ),
-        )
+def evaluate_features(
+    run: Path, recording: FeatureRecording, told_rig: StereoRig | None = None
+) -> Evaluation:
+    """Measure the run of a feature-level simulation against the simulation itself.
+
+    `told_rig`: the calibration that the run was given, where that is not the true one.
+    """
+    truth, rig = recording.truth(), recording.simulation.rig
+    ego_truth = EgoTruth(
+        run, truth.timestamp_ns, truth.T_world_imu, truth.velocity, truth.gyro_bias,
+        truth.accel_bias,
     )  # fmt: skip
+    return Evaluation(
+        evaluate_ego(read_ego_run(run), ego_truth),
+        calibration=calibration_errors(run, told_rig or rig, rig),
+    )
 
 
 def write_metrics(run: Path, evaluation: Evaluation) -> None:

@@ -2,7 +2,6 @@
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Protocol, Self
 
 import numpy as np
@@ -10,9 +9,10 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.errors import DatasetError, OvmotError
-from ovmot.frontend.tracker import StereoTracker
+from ovmot.frontend.epipolar import match_sigma
+from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.split import Split, split_points
@@ -35,6 +35,7 @@ from ovmot.types import (
     StereoMatches,
 )
 
+_NOISE_GAIN = 0.1  # of a frame, in the noise of matches
 _IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
 
 STAGES = ("start", "predict", "match", "split", "correct", "objects", "forget")
@@ -58,6 +59,10 @@ class FrontEnd(Protocol):
 
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
+        ...
+
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
         ...
 
     def close(self) -> None:
@@ -147,13 +152,15 @@ class Pipeline:
         self._rig = rig
         self._settings = settings
         self._start = start
-        self._frontend: FrontEnd = frontend or StereoTracker(
+        self._frontend: FrontEnd = frontend or FRONT_ENDS[settings.tracker.cameras](
             rig, settings.tracker, settings.epipolar
         )
         self._objects: ObjectTracker | None = None
         if settings.objects.enabled:
             self._objects = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
+        self._object_settings = settings.objects
+        self._noise_px = float("nan")
         self._imu = ImuBuffer()
         self._ego: Ego | None = None
         self._table = empty_table()
@@ -164,7 +171,7 @@ class Pipeline:
         self.not_started_because: str | None = None
         self.dropped = 0
         self.counts: Counter[str] = Counter(
-            resets=0, frames_mostly_moving=0, frames_degraded=0, frames_lost=0
+            resets=0, frames_split_unsure=0, frames_degraded=0, frames_lost=0
         )
 
     def feed(self, event: Event) -> list[FrameResult]:
@@ -199,6 +206,7 @@ class Pipeline:
             rig = ego.calibrated_rig()
             self._frontend.calibrate(rig)
             seen, matches = self._frontend.track(frame, camera_motion(ego.window(), rig))
+            self._note_noise(matches)
         # 3 split: what the predicted motion does not explain leaves the filter with its history
         with watch.stage("split"):
             table, split = self._split(append_frame(self._table, seen), seen, ego)
@@ -238,6 +246,17 @@ class Pipeline:
             return None
         return self._ego.estimate_at(newest, self._imu)
 
+    def _note_noise(self, matches: StereoMatches) -> None:
+        """Take the noise of stereo pairs, as these matches show it, into the settings in use."""
+        sigma = match_sigma(matches)
+        if self._settings.objects.noise == "told" or not np.isfinite(sigma):
+            return
+        before = self._noise_px if np.isfinite(self._noise_px) else sigma
+        self._noise_px = before + _NOISE_GAIN * (sigma - before)
+        self._object_settings = self._settings.objects.model_copy(
+            update={"pixel_sigma": self._noise_px}
+        )
+
     def _track_objects(
         self, table: TrackTable, points: ScenePoints, ego: Ego
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
@@ -245,13 +264,14 @@ class Pipeline:
         if self._objects is None:
             return (), points
         window, rig = ego.window(), ego.calibrated_rig()
-        measurements = measure_objects(
-            table, points, window, rig, self._settings.objects, self._rng
-        )
+        points = self._objects.owned(points)
+        measurements = measure_objects(table, points, window, rig, self._object_settings, self._rng)
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         now_ns = int(table.frame_ns[-1])
-        tracks, owner = self._objects.step(now_ns, measurements, points, T_world_cam0)
-        return tracks, replace(points, track_id=owner)
+        tracks, points = self._objects.step(now_ns, measurements, points, T_world_cam0)
+        ids, velocity = self._objects.expected(points)
+        self._frontend.expect(ids, velocity @ T_world_cam0[:3, :3])
+        return tracks, points
 
     def _where_to_look(
         self, points: ScenePoints, suspect: BoolArray
@@ -277,11 +297,11 @@ class Pipeline:
         rig = ego.calibrated_rig()
         split = split_points(table, seen, ego.window(), rig, self._settings.split)
         points = split.points
-        if split.plausible:
+        if split.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)
             table = bar_features(table, points.feature_id[dynamic])
         else:
-            self.counts["frames_mostly_moving"] += 1
+            self.counts["frames_split_unsure"] += 1
         return mark_suspects(table, points.feature_id, split.suspect), split
 
     def _before(self, frame: StereoFrame | FeatureFrame, watch: Stopwatch) -> FrameResult | None:

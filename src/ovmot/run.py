@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +48,8 @@ class RunOptions:
 class _Source:
     """What a run reads and how it starts, whatever it comes from.
 
-    `frontend` makes the front end, None the stereo tracker; `imu_noise` is for `run.json`.
+    `frontend` makes the front end, None the stereo tracker; `imu_noise` is for `run.json`;
+    `frame_number` is that of each stamp (ns).
     """
 
     name: str
@@ -58,6 +59,7 @@ class _Source:
     frontend: FrontEnd | None
     imu_noise: ImuNoise | None
     identity: InputIdentity
+    frame_number: Mapping[int, int]
     counts: Counter[str]
     warnings: Counter[str]
 
@@ -86,6 +88,9 @@ def run_sequence(
         frontend=None,
         imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
         identity=_identity(sequence),
+        frame_number=dict(
+            zip(sequence.frame_ns.tolist(), sequence.frame_number.tolist(), strict=True)
+        ),
         counts=Counter(sequence.counts),
         warnings=Counter(sequence.warnings),
     )
@@ -125,6 +130,7 @@ def run_features(
             first_timestamp_ns=int(simulation.camera_ns[0]),
             last_timestamp_ns=int(simulation.camera_ns[-1]),
         ),
+        frame_number={int(t): i for i, t in enumerate(simulation.camera_ns)},
         counts=Counter(seed=recording.seed),
         warnings=Counter(),
     )
@@ -146,6 +152,7 @@ def _run(
     writer = open_outputs(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
+        frame_number=source.frame_number if settings.objects.enabled else None,
     )  # fmt: skip
     try:
         with writer, closing(source.stream):
@@ -229,16 +236,16 @@ def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | N
 def known_start(
     recording: FeatureRecording, settings: Settings, sigmas: StartSigmas, rig: StereoRig
 ) -> KnownStart:
-    """The filter's start at the truth of a simulation's first frame, exact biases included."""
+    """The filter's start at the truth of a simulation's first frame, exact biases included.
+
+    A rig whose time offset is wrong puts that frame at another instant: the truth is that of then.
+    """
     simulation, truth = recording.simulation, recording.truth()
-    T = truth.T_world_imu[0]
-    state = ImuState(
-        T[:3, :3], T[:3, 3], truth.velocity[0], truth.gyro_bias[0], truth.accel_bias[0]
-    )
-    return KnownStart(
-        int(truth.timestamp_ns[0]), state, sigmas, rig, simulation.imu.noise,
-        settings,
-    )  # fmt: skip
+    first_ns = int(truth.timestamp_ns[0])
+    then_ns = first_ns + round(1e9 * (rig.time_offset_s - simulation.rig.time_offset_s))
+    T, velocity = simulation.path.pose(then_ns), simulation.path.velocity(then_ns)
+    state = ImuState(T[:3, :3], T[:3, 3], velocity, truth.gyro_bias[0], truth.accel_bias[0])
+    return KnownStart(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
 
 
 def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:

@@ -20,10 +20,11 @@ class TrackTable:
     """T frames by F features.
 
     `frame_ns`, `clone_ns` (T,): the frame's stamp and that of the clone that holds its pose.
-    `pixels`, `normalized` (T, F, 4): left u, v and right u, v, NaN where unseen; distorted pixels
-    and undistorted plane coordinates. `hops` (F,): KLT steps so far. `used` (T, F): observations
-    that an update has taken. `barred` (F,): features that no update may ever use, since they
-    were found to move. `suspect` (F,): features that did not look at rest when last seen.
+    `pixels`, `normalized` (T, F, 4): left u, v and right u, v, NaN where unseen by that
+    camera; distorted pixels and undistorted plane coordinates. `hops` (F,): KLT steps so far.
+    `used` (T, F): observations that an update has taken. `barred` (F,): features that no update
+    may ever use, since they were found to move. `suspect` (F,): features that did not look at rest
+    when last seen.
     """
 
     frame_ns: IntArray
@@ -42,11 +43,16 @@ class TrackTable:
         return len(self.frame_ns), len(self.feature_id)
 
     @property
+    def seen(self) -> BoolArray:
+        """Observations (T, F), by whichever camera."""
+        return np.asarray(np.isfinite(self.pixels[..., ::2]).any(axis=-1))
+
+    @property
     def seen_now(self) -> BoolArray:
         """Features (F,) that the newest frame holds."""
         if len(self.frame_ns) == 0:
             return np.zeros(len(self.feature_id), dtype=np.bool_)
-        return np.isfinite(self.pixels[-1, :, 0])
+        return np.asarray(np.isfinite(self.pixels[-1, :, ::2]).any(axis=-1))
 
 
 def empty_table() -> TrackTable:
@@ -121,7 +127,7 @@ def keep_window(table: TrackTable, clone_ns: IntArray) -> TrackTable:
     sharing = np.flatnonzero(rows & (table.frame_ns != table.clone_ns))
     rows[sharing[:-MAX_SHARING_ROWS]] = False
     table = _select_rows(table, rows)
-    fresh = np.isfinite(table.pixels[..., 0]) & ~table.used & ~table.barred
+    fresh = table.seen & ~table.used & ~table.barred
     return _select_columns(table, table.seen_now | fresh.any(axis=0))
 
 

@@ -7,6 +7,8 @@ integer nanoseconds, everything else in SI units. `T_a_b` maps points of frame b
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
+import numpy as np
+
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 
@@ -38,12 +40,21 @@ class FeatureFrame:
     """Features with ids in place of the images of one stereo pair: what another tracker saw.
 
     `pixels` (N, 4): u, v in the left and u, v in the right image, the right half NaN where there is
-    no match. The matches have not been checked.
+    no match, the left half for a feature of the right camera alone. The matches have not been
+    checked.
     """
 
     timestamp_ns: int
     feature_id: IntArray
     pixels: FloatArray
+
+
+def followed_pixels(pixels: FloatArray) -> FloatArray:
+    """Positions (..., 2) of features (..., 4) in the camera that follows them.
+
+    That is the left one, but for features that the right camera follows by itself.
+    """
+    return np.where(np.isnan(pixels[..., :2]), pixels[..., 2:], pixels[..., :2])
 
 
 Event = ImuSample | StereoFrame | FeatureFrame
@@ -79,7 +90,8 @@ class FrontendFrame:
     """What the front end saw in one stereo frame: N features, tracked ones and new ones.
 
     `pixels` (N, 4) is u, v in the left and u, v in the right image, the right half NaN where no
-    accepted stereo match exists; `normalized` (N, 4) is the same in undistorted plane coordinates.
+    accepted stereo match exists, the left half where the right camera follows the feature by
+    itself; `normalized` (N, 4) is the same in undistorted plane coordinates.
     `hops` (N,) counts the frames through which KLT has carried the feature (0: new here);
     `two_view_inlier` (N,) is the verdict of the robust test between the last frame and this one.
     """

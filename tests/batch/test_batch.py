@@ -17,7 +17,7 @@ from ovmot.batch.batch import run_batch
 from ovmot.batch.execute import DaskCluster, LocalProcesses, Work
 from ovmot.batch.jobs import METRICS_JSON, Job
 from ovmot.batch.plan import Plan
-from ovmot.batch.summary import BatchSummary
+from ovmot.batch.summary import BatchSummary, consistency_of, summary_tables
 from ovmot.batch.work import Outcome
 from ovmot.errors import InputError
 
@@ -212,3 +212,16 @@ def test_no_cluster_there() -> None:
     cluster = DaskCluster("tcp://127.0.0.1:9", timeout_s=1)
     with pytest.raises(InputError, match=r"--cluster tcp://127.0.0.1:9: no scheduler answers"):
         list(cluster(write_result, ()))
+
+
+@pytest.mark.parametrize(
+    ("nees", "verdict"), [(1.2, "too cautious"), (4.6, "inside"), (7.0, "overconfident")]
+)
+def test_the_velocity_of_objects_is_judged_by_a_factor_of_two(nees: float, verdict: str) -> None:
+    values = (nees - 0.2, nees + 0.2, None)
+    runs: list[dict[str, float | None]] = [{"object_velocity_nees": value} for value in values]
+    (found,) = consistency_of({("street", "default"): runs})
+    assert (found.runs, found.low, found.high) == (2, 1.5, 6.0)
+    assert found.mean == pytest.approx(nees)
+    _, table = summary_tables(BatchSummary((), (found,), 2, {}), None)
+    assert list(table.columns[-1].cells) == [verdict]

@@ -72,6 +72,8 @@ def test_a_plan_of_the_least(tmp_path: Path) -> None:
         ("seeds: 3", "seeds: 0", "a number from 1 on"),
         ("seeds: 3", "seeds: [1, 1]", "different seeds"),
         ("seeds: 3", "seed: 3", "unknown key 'seed'"),
+        ("n_features: 100", "calibration_error: {rotation: 1}", "calibration_error.rotation'"),
+        ("n_features: 100", "calibration_error: {rotation_deg: -1}", "greater than or equal to 0"),
         ("split.enabled: false", "split.enable: false", "no_split: unknown key 'split.enable'"),
         ("split.enabled: false", "split.enabled: 7", "settings no_split: 'split.enabled'"),
         ("sequences:", "sequences: !!python/object:os.system", "not valid YAML"),

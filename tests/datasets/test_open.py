@@ -62,6 +62,13 @@ def test_kitti_tracking_has_ten_frames_a_second(kitti_tracking: Path) -> None:
     assert sequence.frame_ns.tolist() == [0, 100_000_000, 200_000_000, 300_000_000]
 
 
+def test_frames_keep_the_numbers_of_kitti_s_images(kitti_tracking: Path, euroc: Path) -> None:
+    (kitti_tracking / "image_03" / "0010" / "000001.png").unlink()
+    assert open_sequence(kitti_tracking).frame_number.tolist() == [0, 2, 3]
+    others = open_sequence(euroc)
+    assert others.frame_number.tolist() == list(range(len(others)))
+
+
 def test_kitti_tracking_with_several_sequences(kitti_tracking: Path) -> None:
     shutil.copytree(kitti_tracking / "image_02" / "0010", kitti_tracking / "image_02" / "0011")
     with pytest.raises(InputError, match=r"choose one with --sequence; there are: 0010, 0011"):

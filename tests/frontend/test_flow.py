@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ovmot.config import TrackerSettings
-from ovmot.frontend.flow import follow
-from ovmot.geometry.arrays import AnyArray, FloatArray, Image
+from ovmot.frontend.flow import follow, follow_lost
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 
-SETTINGS = TrackerSettings(klt_window_px=15, klt_levels=3)
+SETTINGS = TrackerSettings(klt_window_px=15, klt_near_levels=3, klt_levels=4)
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +41,15 @@ def points() -> FloatArray:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
+def look(
+    source: Image, target: Image, points: FloatArray, start: FloatArray,
+    settings: TrackerSettings, workers: ThreadPoolExecutor,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+    """Positions, and which were found."""
+    flow = follow(source, target, points, start, settings, workers)
+    return flow.uv, flow.found
+
+
 def unknown(points: FloatArray) -> FloatArray:
     return np.full_like(points, np.nan)
 
@@ -50,7 +59,7 @@ def test_a_shift_is_found_below_a_twentieth_of_a_pixel(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor, shift: tuple[float, float]
 ) -> None:
     source, target = picture(texture, (0.0, 0.0)), picture(texture, shift)
-    found, ok = follow(source, target, points, unknown(points), SETTINGS, workers)
+    found, ok = look(source, target, points, unknown(points), SETTINGS, workers)
     assert ok.mean() > 0.95
     error = found[ok] - points[ok] - shift
     assert np.abs(error).max() < 0.05
@@ -62,12 +71,12 @@ def test_a_large_shift_needs_its_predicted_start(
 ) -> None:
     shift = (48.0, -31.0)
     source, target = picture(texture, (0.0, 0.0)), picture(texture, shift)
-    flat = SETTINGS.model_copy(update={"klt_levels": 1})
-    blind, ok_blind = follow(source, target, points, unknown(points), flat, workers)
+    flat = SETTINGS.model_copy(update={"klt_near_levels": 1})
+    blind, ok_blind = look(source, target, points, unknown(points), flat, workers)
     right = np.linalg.norm(blind - points - shift, axis=1) < 0.5
     assert (ok_blind & right).mean() < 0.05
     start = points + shift + np.random.default_rng(0).uniform(-1.5, 1.5, points.shape)
-    found, ok = follow(source, target, points, start, flat, workers)
+    found, ok = look(source, target, points, start, flat, workers)
     right = np.linalg.norm(found - points - shift, axis=1) < 0.1
     assert (ok & right).mean() > 0.9
 
@@ -79,7 +88,7 @@ def test_points_are_found_from_their_own_starts(
     source, target = picture(texture, (0.0, 0.0)), picture(texture, (2.0, 1.0))
     start = unknown(points)
     start[::2] = points[::2] + np.array([2.0, 1.0])
-    found, ok = follow(source, target, points, start, SETTINGS, workers)
+    found, ok = look(source, target, points, start, SETTINGS, workers)
     assert ok.mean() > 0.95
     np.testing.assert_allclose(found[ok] - points[ok], [[2.0, 1.0]] * ok.sum(), atol=0.1)
 
@@ -91,17 +100,17 @@ def test_what_is_gone_is_flagged(
     other = np.random.default_rng(9).integers(0, 255, target.shape).astype(np.uint8)
     gone = target.copy()
     gone[:, 150:] = cv2.GaussianBlur(other, (0, 0), 1.5)[:, 150:]
-    _, ok = follow(source, gone, points, unknown(points), SETTINGS, workers)
+    _, ok = look(source, gone, points, unknown(points), SETTINGS, workers)
     assert ok[points[:, 0] < 130].mean() > 0.9
     assert ok[points[:, 0] > 170].mean() < 0.2
     flat = np.full_like(target, 128)
-    assert not follow(source, flat, points, unknown(points), SETTINGS, workers)[1].any()
+    assert not look(source, flat, points, unknown(points), SETTINGS, workers)[1].any()
 
 
 def test_no_points(workers: ThreadPoolExecutor) -> None:
     image = np.zeros((50, 50), dtype=np.uint8)
     nothing = np.empty((0, 2))
-    found, ok = follow(image, image, nothing, nothing, SETTINGS, workers)
+    found, ok = look(image, image, nothing, nothing, SETTINGS, workers)
     assert (found.shape, ok.shape) == ((0, 2), (0,))
 
 
@@ -109,8 +118,35 @@ def test_one_point_alone_gives_the_same_as_among_others(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
 ) -> None:
     source, target = picture(texture, (0.0, 0.0)), picture(texture, (2.25, 1.125))
-    together, _ = follow(source, target, points, unknown(points), SETTINGS, workers)
+    together, _ = look(source, target, points, unknown(points), SETTINGS, workers)
     for i in (0, 41, 83):
         one = points[i : i + 1]
-        alone, _ = follow(source, target, one, unknown(one), SETTINGS, workers)
+        alone, _ = look(source, target, one, unknown(one), SETTINGS, workers)
         np.testing.assert_array_equal(alone[0], together[i])
+
+
+def test_what_one_look_lost_is_found_by_another_where_it_is_like(
+    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+) -> None:
+    """Half of the picture moves far; its points are lost near their old places."""
+    shift = np.array([44.0, 3.0])
+    source, target = picture(texture, (0.0, 0.0)), picture(texture, (0.0, 0.0))
+    target = np.hstack([target[:, :150], picture(texture, (44.0, 3.0))[:, 150:]])
+    moved = points[:, 0] > 150
+    near = SETTINGS.model_copy(update={"klt_near_levels": 2, "klt_levels": 2})
+    first = follow(source, target, points, unknown(points), near, workers)
+    lost = moved & ~first.found & (points[:, 0] < 240)
+    assert lost.sum() > 10
+    again = follow_lost(
+        source, target, points, first, (points + shift)[None], points, near, workers
+    )
+    np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
+    off = np.linalg.norm(again.uv - points - shift, axis=1)
+    assert (again.found & (off < 0.2))[lost].mean() > 0.8
+    flat = np.full_like(target, 128)
+    flat[:, :150] = target[:, :150]
+    nowhere = follow(source, flat, points, unknown(points), near, workers)
+    again = follow_lost(
+        source, flat, points, nowhere, (points + shift)[None], points, near, workers
+    )
+    assert not again.found[points[:, 0] > 170].any()

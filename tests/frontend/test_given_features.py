@@ -61,3 +61,37 @@ def test_images_are_refused(frontend: GivenFeatures) -> None:
     image = np.zeros((240, 320), dtype=np.uint8)
     with pytest.raises(OvmotError, match="frame 7: images"):
         frontend.track(StereoFrame(7, image, image), np.eye(4))
+
+
+def of(rig: StereoRig, cameras: str) -> GivenFeatures:
+    settings = TrackerSettings.model_validate({"cameras": cameras})
+    return GivenFeatures(rig, settings, EpipolarSettings())
+
+
+def test_the_left_camera_alone_leaves_the_right_halves(painted_rig: StereoRig) -> None:
+    pixels = grid(painted_rig, 0.0)
+    seen, matches = of(painted_rig, "left").track(FeatureFrame(0, np.arange(30), pixels), np.eye(4))
+    np.testing.assert_array_equal(seen.pixels[:, :2], pixels[:, :2])
+    assert np.isnan(seen.pixels[:, 2:]).all()
+    assert len(matches.feature_id) == 0
+
+
+def test_each_camera_by_itself_takes_the_pairs_apart(painted_rig: StereoRig) -> None:
+    """And each camera's tracks are tested by its own two views."""
+    rng = np.random.default_rng(1)
+    first = grid(painted_rig, 0.0)
+    second = first.copy()
+    second[:, [0, 2]] += rng.uniform(2.0, 8.0, 30)[:, None]
+    second[3, 1] += 9.0  # the left view of one point, the right view of another one
+    second[5, 3] += 9.0
+    second[7, :2] = np.nan  # only the right camera sees it
+    frontend = of(painted_rig, "each")
+    frontend.track(FeatureFrame(0, np.arange(30), first), np.eye(4))
+    seen, matches = frontend.track(FeatureFrame(1, np.arange(30), second), np.eye(4))
+    assert len(matches.feature_id) == 0
+    left = np.isfinite(seen.pixels[:, 0])
+    assert seen.feature_id[left].tolist() == [2 * k for k in range(30) if k != 7]
+    assert seen.feature_id[~left].tolist() == [2 * k + 1 for k in range(30)]
+    np.testing.assert_array_equal(seen.pixels[~left, 2:], second[:, 2:])
+    assert (seen.hops == 1).all()
+    assert sorted(seen.feature_id[~seen.two_view_inlier].tolist()) == [6, 11]

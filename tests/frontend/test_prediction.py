@@ -5,7 +5,7 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.prediction import fill_depths, predict_left, predict_right, unexplained_flow
+from ovmot.frontend.prediction import fill_depths, predict_pixels, predict_right, unexplained_flow
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 
@@ -33,7 +33,7 @@ def points() -> FloatArray:
 def test_points_of_known_depth_are_predicted_exactly(
     rig: StereoRig, motion: FloatArray, points: FloatArray
 ) -> None:
-    uv, depth = predict_left(points[:, :2] / points[:, 2:], points, motion, rig)
+    uv, depth = predict_pixels(points[:, :2] / points[:, 2:], points, motion, rig.cam0)
     now = se3.apply(motion, points)
     np.testing.assert_allclose(uv, rig.cam0.project(now), atol=1e-9)
     np.testing.assert_allclose(depth, now[:, 2])
@@ -43,7 +43,7 @@ def test_points_of_unknown_depth_follow_the_rotation_alone(
     rig: StereoRig, motion: FloatArray, points: FloatArray
 ) -> None:
     xy = points[:, :2] / points[:, 2:]
-    uv, depth = predict_left(xy, np.full_like(points, np.nan), motion, rig)
+    uv, depth = predict_pixels(xy, np.full_like(points, np.nan), motion, rig.cam0)
     far = se3.apply(motion, 1e7 * points)
     np.testing.assert_allclose(uv, rig.cam0.project(far), atol=1e-3)
     assert np.isnan(depth).all()
@@ -54,8 +54,8 @@ def test_known_and_unknown_points_do_not_mix(
 ) -> None:
     xy, some = points[:, :2] / points[:, 2:], points.copy()
     some[::3] = np.nan
-    uv, depth = predict_left(xy, some, motion, rig)
-    exact, _ = predict_left(xy, points, motion, rig)
+    uv, depth = predict_pixels(xy, some, motion, rig.cam0)
+    exact, _ = predict_pixels(xy, points, motion, rig.cam0)
     known = np.isfinite(some[:, 0])
     np.testing.assert_array_equal(uv[known], exact[known])
     np.testing.assert_array_equal(np.isfinite(depth), known)
@@ -66,7 +66,7 @@ def test_known_and_unknown_points_do_not_mix(
 def test_a_point_that_the_camera_has_passed_has_no_depth(rig: StereoRig) -> None:
     passed = np.array([[0.1, 0.0, 0.5]])
     T = se3.make(np.eye(3), np.array([0.0, 0.0, -1.0]))
-    uv, depth = predict_left(passed[:, :2] / passed[:, 2:], passed, T, rig)
+    uv, depth = predict_pixels(passed[:, :2] / passed[:, 2:], passed, T, rig.cam0)
     assert np.isnan(depth).all()
     np.testing.assert_allclose(uv, rig.cam0.denormalize(np.array([[0.2, 0.0]])))
 

@@ -148,7 +148,7 @@ def test_standing_and_moving_are_told_apart(make_drive: MakeDrive) -> None:
     assert not any(step.ego.standing for step in replace(drive, frames=frozen[:4]).run())
 
 
-DOORS = {"update_with_tracks": 2, "add_with_tracks": 4, "update_landmarks": 3}
+DOORS = {"update_with_tracks": 3, "update_landmarks": 3}
 """Functions through which features enter the filter, and which argument holds their pixels."""
 
 
@@ -341,10 +341,15 @@ def test_a_feature_that_moves_is_gated(make_drive: MakeDrive) -> None:
     seen = np.isfinite(table.pixels).all(axis=(0, 2))
     pixels = np.moveaxis(table.pixels[:, seen], 0, 1)
     slide = 12.0 * np.arange(8)[None, :, None] * [1.0, 0.3, 1.0, 0.3]
-    same = correction.update_with_tracks(ego.state, ego.rig, pixels + slide, ego.settings.filter)
-    assert same is ego.state
-    other = correction.update_with_tracks(ego.state, ego.rig, pixels, ego.settings.filter)
-    assert other is not ego.state
+
+    def updated(seen_as: FloatArray) -> State:
+        none_kept = np.full(len(pixels), correction.NOT_KEPT)
+        return correction.update_with_tracks(
+            ego.state, ego.rig, ego.rig.T_imu_cam0, seen_as, none_kept, ego.settings.filter
+        )
+
+    assert updated(pixels + slide) is ego.state
+    assert updated(pixels) is not ego.state
 
 
 def test_mono_features_teach_too(make_drive: MakeDrive) -> None:

@@ -16,7 +16,8 @@ from ovmot.msckf.features import (
     FeatureSystem,
     chi2_gate,
     linearize,
-    project_nullspace,
+    reproject,
+    separate_points,
     triangulate_features,
 )
 from ovmot.msckf.state import (
@@ -127,6 +128,18 @@ def test_a_point_behind_a_camera_gives_no_rows(state: State, rig: StereoRig) -> 
     np.testing.assert_array_equal(system.n_rows[1:], 16)
 
 
+def test_views_are_linearised_in_the_picture_only(state: State, rig: StereoRig) -> None:
+    """A first estimate far to the side is seen nowhere, though the latest one is where it is."""
+    pixels = per_clone(state, rig, POINTS, "pixels")
+    beside = POINTS.copy()
+    beside[0] += [-POINTS[0, 0] + 1.5, 14.0, -6.0]
+    beside[1] += 0.05  # still seen
+    seen = reproject(state.clones, rig, pixels, (POINTS, beside), SIGMA_PX, state.calibration)
+    assert not seen.seen[0].any()
+    assert not seen.by_pose[0].any()
+    assert seen.seen[1:].all()
+
+
 def test_features_are_triangulated_in_world(state: State, rig: StereoRig) -> None:
     normalized = per_clone(state, rig, POINTS, "normalized")
     normalized[1, :, 2:] = np.nan
@@ -150,7 +163,8 @@ def random_system(rng: np.random.Generator, n_features: int, m: int, k: int) -> 
 def test_projection_takes_the_point_out() -> None:
     system = random_system(np.random.default_rng(3), 20, 16, 6)
     instead = replace(system, H=system.H_point, residual=system.H_point @ [1.0, -2.0, 3.0])
-    H, residual = project_nullspace(instead)
+    free = separate_points(instead)
+    H, residual = free.H, free.residual
     assert H.shape == (20, 13, 3)
     np.testing.assert_allclose(H, 0.0, atol=1e-13)
     np.testing.assert_allclose(residual, 0.0, atol=1e-12)
@@ -158,7 +172,8 @@ def test_projection_takes_the_point_out() -> None:
 
 def test_projection_keeps_the_information_of_a_null_space() -> None:
     system = random_system(np.random.default_rng(4), 20, 16, 6)
-    H, r = project_nullspace(system)
+    free = separate_points(system)
+    H, r = free.H, free.residual
     for i in range(20):
         N = null_space(system.H_point[i].T)
         H_known, r_known = N.T @ system.H[i], N.T @ system.residual[i]
@@ -176,7 +191,7 @@ def test_projection_keeps_the_information_of_a_null_space() -> None:
 def test_projection_leaves_its_argument_alone() -> None:
     system = random_system(np.random.default_rng(5), 3, 8, 6)
     copies = system.H.copy(), system.H_point.copy(), system.residual.copy()
-    project_nullspace(system)
+    separate_points(system)
     np.testing.assert_array_equal(system.H, copies[0])
     np.testing.assert_array_equal(system.H_point, copies[1])
     np.testing.assert_array_equal(system.residual, copies[2])
@@ -201,17 +216,20 @@ def test_gate_passes_95_percent_of_consistent_features_and_no_others(
         + np.where(real, rng.normal(size=real.shape), 0.0)
     )
     dof = system.n_rows - 3
-    H, r = project_nullspace(replace(system, residual=residual))
+    free = separate_points(replace(system, residual=residual))
+    H, r = free.H, free.residual
     rate = chi2_gate(state.clone_covariance, H, r, dof, 1.0).mean()
     assert rate == pytest.approx(0.95, abs=0.012)
     # the state's own uncertainty is part of the bound
     certain = replace(state, covariance=1e-12 * P)
     assert chi2_gate(certain.clone_covariance, H, r, dof, 1.0).mean() < 0.8
     wrong = np.where(real, residual + 200.0 * rng.normal(size=real.shape), 0.0)
-    H, r = project_nullspace(replace(system, residual=wrong))
+    free = separate_points(replace(system, residual=wrong))
+    H, r = free.H, free.residual
     assert chi2_gate(state.clone_covariance, H, r, dof, 1.0).mean() < 0.01
     # a wider multiplier lets more through
-    H, r = project_nullspace(replace(system, residual=1.5 * residual))
+    free = separate_points(replace(system, residual=1.5 * residual))
+    H, r = free.H, free.residual
     narrow, wide = (chi2_gate(state.clone_covariance, H, r, dof, x).mean() for x in (1.0, 3.0))
     assert narrow < 0.8 < wide
 

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import CalibrationSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.msckf.calibration import calibrated_rig, make_calibration
-from ovmot.msckf.features import linearize, project_nullspace
+from ovmot.msckf.features import FeatureSystem, linearize, separate_points
 from ovmot.msckf.landmarks import NO_ANCHOR, REPRESENTATIONS, Landmarks, no_landmarks
 from ovmot.msckf.slam import (
     add_landmarks,
@@ -20,7 +21,7 @@ from ovmot.msckf.slam import (
     landmark_system,
     update_landmarks,
 )
-from ovmot.msckf.state import N_BASE, State, box_minus, box_plus, drop_landmarks
+from ovmot.msckf.state import N_BASE, State, box_minus, box_plus
 from ovmot.msckf.update import ekf_update
 
 Derivative = Callable[..., FloatArray]
@@ -84,6 +85,25 @@ def views_of(state: State, rig: StereoRig, points: FloatArray) -> FloatArray:
         ],
         axis=-1,
     )
+
+
+def unknown_features(
+    name: str, scene: Callable[..., tuple[State, StereoRig]], *, calibrated: bool
+) -> tuple[State, StereoRig, FloatArray, FloatArray]:
+    """A state without landmarks, its rig, and exact views (4, K, 4) of four points (4, 3)."""
+    state, rig = scene(name, calibrated=calibrated)
+    points = points_of(state, rig)
+    n = state.first_landmark
+    state = replace(
+        state, landmarks=no_landmarks(name), covariance=state.covariance[:n, :n]
+    )  # fmt: skip
+    return state, rig, views_of(state, rig, points), points
+
+
+def started(state: State, rig: StereoRig, system: FeatureSystem, points: FloatArray) -> State:
+    """The state with all features taken in, by the rows that determine them alone."""
+    rows = separate_points(system).points
+    return add_landmarks(state, rows, np.arange(len(points)), points, rig.T_imu_cam0)
 
 
 def points_of(state: State, rig: StereoRig) -> FloatArray:
@@ -179,30 +199,85 @@ def test_another_anchor_is_the_same_point_with_the_same_uncertainty(
     np.testing.assert_array_equal(changed.covariance[kept, kept], state.covariance[kept, kept])
 
 
-@pytest.mark.parametrize("name", [n for n in REPRESENTATIONS if "single" not in n])
-def test_a_late_start_updates_as_the_feature_alone_would(
-    name: str, make_state: MakeState, rig: StereoRig
-) -> None:
-    """To take a feature in, or to project it out, teaches the clones the same."""
-    rng = np.random.default_rng(3)
-    state = make_state(rng, 5)
-    poses = state.clones.T_world_imu[0] @ se3.exp(rng.normal(0.0, 0.05, (5, 6)))
-    clones = replace(state.clones, T_world_imu=poses, T_world_imu_first=poses)
-    state = replace(state, clones=clones, covariance=1e-4 * state.covariance)
-    state = replace(state, landmarks=no_landmarks(name))
-    point = se3.apply(poses[0], AHEAD[:1])
-    pixels = views_of(state, rig, point) + rng.normal(0.0, 0.3, (1, 5, 4))
-    system = linearize(state, rig, pixels, point, SIGMA_PX)
-    H, r = project_nullspace(system)
-    columns = np.arange(N_BASE, len(state.covariance))
-    expected = ekf_update(state, H[0], columns, r[0], np.ones(len(r[0])))
-    joined = add_landmarks(state, system, np.array([12]), point, rig.T_imu_cam0, 1e3)
-    assert joined.landmarks.feature_id.tolist() == [12]
+@every_representation
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_late_start_follows_the_state_as_the_best_fit_does(
+    name: str, calibrated: bool, scene: Callable[..., tuple[State, StereoRig]],
+    central_differences: Derivative,
+) -> None:  # fmt: skip
+    """The correlation with the rest of the state is the derivative of the fit to all views."""
+    state, rig, pixels, points = unknown_features(name, scene, calibrated=calibrated)
+    system = linearize(state, calibrated_rig(rig, state.calibration), pixels, points, SIGMA_PX)
+    joined = started(state, rig, system, points)
     n = len(state.covariance)
-    np.testing.assert_allclose(joined.covariance[:n, :n], expected.covariance, atol=1e-12)
-    alone = drop_landmarks(joined, np.ones(1, dtype=np.bool_))
-    np.testing.assert_allclose(box_minus(alone, expected), 0.0, atol=1e-6)
+
+    def refitted(error: FloatArray) -> FloatArray:
+        """Values that fit the views best when the state has moved, by Gauss-Newton."""
+        moved = box_plus(state, error)
+        now = calibrated_rig(rig, moved.calibration)
+        value = joined.landmarks.value.ravel()
+
+        def residual(flat: FloatArray) -> FloatArray:
+            landmarks = replace(joined.landmarks, value=flat.reshape(-1, 3))
+            p = landmark_points(landmarks, moved.clones, rig.T_imu_cam0, first=False).p_world
+            return linearize(moved, now, pixels, p, SIGMA_PX).residual.ravel()
+
+        for _ in range(2):
+            J = central_differences(residual, value)
+            value = value - np.linalg.lstsq(J, residual(value), rcond=None)[0]
+        return np.ravel(value.reshape(-1, 3)[:, 3 - joined.landmarks.size :])
+
+    expected = central_differences(refitted, np.zeros(n), 1e-5)
+    P = state.covariance
+    following = np.linalg.solve(P, joined.covariance[:n, n:]).T
+    np.testing.assert_allclose(following, expected, atol=2e-4 * np.abs(expected).max())
+
+
+@every_representation
+def test_a_late_start_updates_as_the_features_alone_would(
+    name: str, scene: Callable[..., tuple[State, StereoRig]]
+) -> None:
+    """Taken in with their first rows, landmarks and state learn from the rest what there is."""
+    state, rig, pixels, points = unknown_features(name, scene, calibrated=True)
+    pixels = pixels + np.random.default_rng(3).normal(0.0, 0.3, pixels.shape)
+    system = linearize(state, calibrated_rig(rig, state.calibration), pixels, points, SIGMA_PX)
+    joined = started(state, rig, system, points)
     assert np.linalg.eigvalsh(joined.covariance).min() > 0.0
+    n = len(state.covariance)
+    np.testing.assert_array_equal(joined.covariance[:n, :n], state.covariance)
+    # what all rows tell of the state and of points that nobody knew anything of
+    k = np.arange(4)
+    H = np.zeros((*system.H.shape[:2], n + 12))
+    H[..., N_BASE:n] = system.H
+    by_point = H[..., n:].reshape(4, -1, 4, 3)  # a view
+    by_point[k, :, k] = system.H_point
+    H = H.reshape(-1, n + 12)
+    information = block_diag(np.linalg.inv(state.covariance), np.zeros((12, 12))) + H.T @ H
+    covariance = np.linalg.inv(information)
+    moved = box_plus(state, (covariance @ H.T @ system.residual.ravel())[:n])
+
+    free = separate_points(system)
+    ours = ekf_update(
+        joined, free.H.reshape(-1, n - N_BASE), np.arange(N_BASE, n), free.residual.ravel(),
+        np.ones(free.residual.size),
+    )  # fmt: skip
+    expected = covariance[:n, :n]
+    np.testing.assert_allclose(
+        ours.covariance[:n, :n], expected, atol=1e-8 * np.abs(expected).max()
+    )
+    alone = replace(ours, landmarks=state.landmarks, covariance=expected)
+    np.testing.assert_allclose(box_minus(alone, moved), 0.0, atol=1e-7)
+
+
+def test_a_feature_whose_rows_leave_a_direction_open_stays_out(
+    scene: Callable[..., tuple[State, StereoRig]],
+) -> None:
+    state, rig, pixels, points = unknown_features("global_xyz", scene, calibrated=False)
+    pixels[1, 1:] = np.nan
+    pixels[1, :, 2:] = np.nan  # one camera, one view: no depth
+    joined = started(state, rig, linearize(state, rig, pixels, points, SIGMA_PX), points)
+    assert joined.landmarks.feature_id.tolist() == [0, 2, 3]
+    assert len(joined.covariance) == len(state.covariance) + 9
 
 
 @every_representation
@@ -220,6 +295,23 @@ def test_views_make_a_landmark_surer_and_a_wrong_one_is_refused(
     assert after.sum() < before.sum()
     unseen = update_landmarks(state, rig, rig.T_imu_cam0, np.full((4, 4), np.nan), SIGMA_PX, 1.0)
     assert unseen is state
+
+
+def test_a_landmark_that_is_beside_the_picture_by_its_first_estimate_waits(
+    scene: Callable[..., tuple[State, StereoRig]],
+) -> None:
+    """Four times as near as it is, it would be passed by now."""
+    state, rig = scene("anchored_msckf_inverse_depth")
+    pixels = views_of(state, rig, points_of(state, rig))[:, -1]
+    first = state.landmarks.first.copy()
+    first[0] = [-8.0, -3.0, 0.7]
+    state = replace(state, landmarks=replace(state.landmarks, first=first))
+    seen = update_landmarks(state, rig, rig.T_imu_cam0, pixels, SIGMA_PX, 1.0)
+    unseen = pixels.copy()
+    unseen[0] = np.nan
+    without = update_landmarks(state, rig, rig.T_imu_cam0, unseen, SIGMA_PX, 1.0)
+    np.testing.assert_array_equal(seen.covariance, without.covariance)
+    assert np.trace(seen.covariance) < np.trace(state.covariance)
 
 
 def test_first_estimates_stay_where_they_were(

@@ -9,7 +9,13 @@ from scipy.stats import chi2
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.msckf.state import State, box_minus
-from ovmot.msckf.update import chi2_bound, compress, ekf_update, innovation_distance
+from ovmot.msckf.update import (
+    chi2_bound,
+    compress,
+    ekf_update,
+    innovation_distance,
+    innovation_factor,
+)
 
 MakeState = Callable[..., State]
 
@@ -114,3 +120,34 @@ def test_compression_gives_the_same_update(make_state: MakeState) -> None:
 def test_chi2_bound_is_the_quantile() -> None:
     assert chi2_bound(3) == pytest.approx(7.8147, abs=1e-4)
     assert chi2_bound(9, 0.999) == pytest.approx(27.877, abs=1e-3)
+
+
+def test_a_large_row_does_not_swallow_the_noise(make_state: MakeState) -> None:
+    """In H P Hᵀ + R, rounded to its largest entry, the noise is lost, and it has no factor.
+
+    The three measurements know their mean very well; what is beside it is as noisy as ever.
+    """
+    state = make_state(np.random.default_rng(6), 2)
+    P = np.diag(np.full(len(state.covariance), 1e-4))
+    state = replace(state, covariance=P)
+    H = np.array([[1e11, 0.0], [1e11, 3.0], [1e11, -1.0]])
+    columns, variance = np.array([0, 20]), np.ones(3)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(H @ P[:2, :2] @ H.T + np.eye(3))
+    updated = ekf_update(state, H, columns, np.zeros(3), variance)
+    assert abs(updated.covariance[0, 0]) < 1e-16
+    spread = np.square(H[:, 1] - H[:, 1].mean()).sum()
+    assert updated.covariance[20, 20] == pytest.approx(1.0 / (1e4 + spread), rel=1e-5)
+    assert np.linalg.eigvalsh(updated.covariance).min() > -1e-16
+
+
+def test_innovation_factor_takes_a_singular_covariance() -> None:
+    """A clone is a copy of the pose; a time offset that is known has no variance."""
+    rng = np.random.default_rng(7)
+    F = rng.normal(size=(8, 5)) * 10.0 ** np.arange(-4, 4)[:, None]
+    F[7] = 0.0
+    F[6] = F[0]
+    H, variance = rng.normal(size=(6, 8)), rng.uniform(0.5, 2.0, 6)
+    L = innovation_factor(F @ F.T, H, variance)
+    np.testing.assert_allclose(L @ L.T, H @ F @ F.T @ H.T + np.diag(variance), rtol=1e-9)
+    np.testing.assert_array_equal(L, np.tril(L))

@@ -8,10 +8,11 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.objects.comparison import Comparison, StereoHistory, compare
+from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare
 from ovmot.types import PoseWindow
 
 SIGMA_PX = 0.4
+NO_SLIDE = Slide(0.0, 0.0)
 Make = Callable[..., FloatArray]
 Window = Callable[..., PoseWindow]
 
@@ -49,7 +50,9 @@ def test_exact_points_are_predicted_exactly(
 ) -> None:
     T, rng = drive(6), np.random.default_rng(0)
     p = in_view(rig, T, 30, (5.0, 40.0), rng)
-    comparison = compare(history_of(measure(rig, T, p, 0.0, rng)), window_of(T), rig, SIGMA_PX, 0.0)
+    comparison = compare(
+        history_of(measure(rig, T, p, 0.0, rng)), window_of(T), rig, SIGMA_PX, NO_SLIDE
+    )
     now = se3.apply(se3.inverse(T[-1] @ rig.T_imu_cam0), p)
     np.testing.assert_allclose(comparison.predicted, np.broadcast_to(now, (5, 30, 3)), atol=1e-8)
     assert np.abs(comparison.residual).max() < 1e-9
@@ -68,12 +71,12 @@ def test_the_covariance_is_that_of_the_residuals(
         m = measure(rig, T, p, SIGMA_PX, rng)
         T_estimated = perturbed(T, rng.multivariate_normal(np.zeros(36), pose_covariance))
         window = window_of(T_estimated, pose_covariance)
-        drawn.append(mahalanobis(compare(history_of(m), window, rig, SIGMA_PX, 0.0)))
+        drawn.append(mahalanobis(compare(history_of(m), window, rig, SIGMA_PX, NO_SLIDE)))
     per_row = np.mean(drawn, axis=(0, 2))
     np.testing.assert_allclose(per_row, 4.0, atol=0.4)  # poses are common to a draw's points
     without = [
         mahalanobis(compare(history_of(m), window_of(T_estimated, 0.0 * pose_covariance), rig,
-                            SIGMA_PX, 0.0)).mean()
+                            SIGMA_PX, NO_SLIDE)).mean()
     ]  # fmt: skip
     assert without[0] > 6.0  # the poses' errors matter here
 
@@ -86,7 +89,7 @@ def test_pixels_alone_give_four_for_every_depth(
     for depth in ((5.0, 8.0), (15.0, 20.0), (25.0, 30.0)):
         p = in_view(rig, T, 4000, depth, rng)
         comparison = compare(
-            history_of(measure(rig, T, p, SIGMA_PX, rng)), window, rig, SIGMA_PX, 0.0
+            history_of(measure(rig, T, p, SIGMA_PX, rng)), window, rig, SIGMA_PX, NO_SLIDE
         )
         np.testing.assert_allclose(mahalanobis(comparison).mean(1), 4.0, atol=0.25)
 
@@ -101,10 +104,10 @@ def test_the_ego_motion_s_part_by_finite_differences(
     history = history_of(measure(rig, T, p, 0.0, rng))
 
     def predicted(delta: FloatArray) -> FloatArray:
-        return compare(history, window_of(perturbed(T, delta)), rig, 0.0, 0.0).predicted
+        return compare(history, window_of(perturbed(T, delta)), rig, 0.0, NO_SLIDE).predicted
 
     D = central_differences(predicted, np.zeros(36), 1e-5)  # (5, 7, 3, 36)
-    comparison = compare(history, window_of(T, pose_covariance), rig, 0.0, 0.0)
+    comparison = compare(history, window_of(T, pose_covariance), rig, 0.0, NO_SLIDE)
     JD = comparison.J @ D
     expected = JD @ pose_covariance @ np.swapaxes(JD, -1, -2)
     np.testing.assert_allclose(comparison.S, expected, rtol=1e-5, atol=1e-5 * expected.max())
@@ -120,7 +123,7 @@ def test_j_is_the_derivative_of_the_prediction(
     d_cam = np.array([1e-4, -2e-4, 3e-4])
     moved = np.stack([p, p, p + d_cam @ R_cam_world])
     comparison = compare(
-        history_of(measure(rig, T, moved, 0.0, rng)), window_of(T), rig, SIGMA_PX, 0.0
+        history_of(measure(rig, T, moved, 0.0, rng)), window_of(T), rig, SIGMA_PX, NO_SLIDE
     )
     np.testing.assert_allclose(comparison.residual, comparison.J @ d_cam, rtol=2e-3, atol=1e-9)
 
@@ -131,11 +134,17 @@ def test_drift_widens_with_the_way_through_the_image(
     T, rng = drive(3), np.random.default_rng(5)
     p = in_view(rig, T, 10, (6.0, 20.0), rng)
     history = history_of(measure(rig, T, p, 0.0, rng))
-    plain = compare(history, window_of(T), rig, SIGMA_PX, 0.0).S
-    wider = compare(history, window_of(T), rig, SIGMA_PX, 0.05).S
+    plain = compare(history, window_of(T), rig, SIGMA_PX, NO_SLIDE).S
+    wider = compare(history, window_of(T), rig, SIGMA_PX, Slide(0.0, 0.05)).S
     flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
     expected = (0.05 * flow[..., None, None]) ** 2 * np.eye(4)
     np.testing.assert_allclose(wider - plain, expected, atol=1e-12)
+    always = compare(history, window_of(T), rig, SIGMA_PX, Slide(0.3, 0.0)).S
+    np.testing.assert_allclose(
+        always - plain,
+        np.broadcast_to((0.3 / rig.cam0.fx) ** 2 * np.eye(4), plain.shape),
+        atol=1e-12,
+    )
 
 
 def test_a_frame_that_shares_the_newest_pose_has_no_ego_error(
@@ -146,8 +155,8 @@ def test_a_frame_that_shares_the_newest_pose_has_no_ego_error(
     p = in_view(rig, T, 5, (6.0, 20.0), rng)
     m = measure(rig, T[[-1, -1]], p, 0.0, rng)
     shared = StereoHistory(m[:1], m[1], np.array([5]), np.array([0.1]))
-    with_ego = compare(shared, window_of(T, pose_covariance), rig, SIGMA_PX, 0.0)
-    without = compare(shared, window_of(T, 0.0 * pose_covariance), rig, SIGMA_PX, 0.0)
+    with_ego = compare(shared, window_of(T, pose_covariance), rig, SIGMA_PX, NO_SLIDE)
+    without = compare(shared, window_of(T, 0.0 * pose_covariance), rig, SIGMA_PX, NO_SLIDE)
     np.testing.assert_allclose(with_ego.S, without.S, rtol=1e-9, atol=1e-15)
 
 
@@ -159,7 +168,7 @@ def test_what_was_not_seen_in_stereo_is_not_tested(
     m[0, 0, 2:] = np.nan  # mono then
     m[:, 1] = np.nan  # never
     m[-1, 2, 2:] = np.nan  # mono now
-    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, 0.0)
+    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, NO_SLIDE)
     assert comparison.tested[:, 0].tolist() == [False, True, True]
     assert not comparison.tested[:, 1:3].any()
     assert comparison.tested[:, 3:].all()
@@ -171,7 +180,7 @@ def test_a_point_that_the_camera_passed_is_not_tested(
     T, rng = drive(2, speed=60.0), np.random.default_rng(7)  # 6 m between the frames
     p = se3.apply(T[0] @ rig.T_imu_cam0, np.array([[0.5, 0.0, 4.0], [0.5, 0.0, 40.0]]))
     m = measure(rig, T, p, 0.0, rng)
-    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, 0.0)
+    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, NO_SLIDE)
     assert comparison.tested[0].tolist() == [False, True]
 
 
@@ -185,7 +194,7 @@ def test_the_secant_reaches_any_distance_exactly(
     step = rng.uniform(-4.0, 8.0, (20, 3)) * [1.0, 0.2, 0.2]
     comparison = compare(
         history_of(measure(rig, T, np.stack([p, p + step]), 0.0, rng)),
-        window_of(T), rig, SIGMA_PX, 0.0,
+        window_of(T), rig, SIGMA_PX, NO_SLIDE,
     )  # fmt: skip
     step_cam = se3.apply(T_cam_world, p + step) - comparison.predicted[0]
     reached = (comparison.J_motion[0] @ step_cam[:, :, None])[..., 0]

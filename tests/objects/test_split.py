@@ -17,7 +17,8 @@ from ovmot.types import FrontendFrame, PointLabel, PoseWindow
 STATIC, DYNAMIC, UNKNOWN = int(PointLabel.STATIC), int(PointLabel.DYNAMIC), int(PointLabel.UNKNOWN)
 SETTINGS = SplitSettings(
     enabled=True, candidates="tracked", test="covariance", max_range_m=60.0, false_alarm=1e-4,
-    forgiven_speed_mps=0.15, pixel_sigma=0.4, drift_per_flow=0.0, distance_threshold_m=0.25,
+    forgiven_speed_mps=0.15, pixel_sigma=0.4, drift_per_flow=0.0,
+    distance_threshold_m=0.25,
     depth_weight=0.3, reprojection_threshold_px=3.0, combine="any",
 )  # fmt: skip
 N_CAR, N_REST = 6, 60
@@ -244,7 +245,7 @@ def test_rows_whose_pose_has_left_are_not_compared(world: Callable[..., Recordin
     )
     label = in_order(replace(recording, window=last_two).split())
     assert (label[N_CAR:] == STATIC).all()
-    assert (label[:N_CAR] == UNKNOWN).all()  # one interval shows that, not how, they move
+    assert (label[:N_CAR] == DYNAMIC).all()  # one interval is enough for many that go alike
 
 
 def test_the_first_frame_has_nothing_to_compare(world: Callable[..., Recording]) -> None:

@@ -107,10 +107,10 @@ def run(
     for k in range(round(1e9 * seconds / frame_ns)):
         t = 1e-9 * k * frame_ns
         found = [m for body in bodies if (m := measure(body, t, rng)) is not None]
-        tracks, owner = tracker.step(
+        tracks, points = tracker.step(
             k * frame_ns, found, scene_points(bodies, t, rng), T_WORLD_CAM0
         )
-        out.append((t, tracks, owner))
+        out.append((t, tracks, points.track_id))
     return out
 
 

@@ -178,17 +178,3 @@ def distance_to_polyline(curve: AnyArray, pixel: AnyArray) -> float:
     along = np.sum((pixel - start) * step, axis=1) / np.sum(step * step, axis=1)
     nearest = start + np.clip(along, 0.0, 1.0)[:, None] * step
     return float(np.linalg.norm(nearest - pixel, axis=1).min())
-
-
-def test_confirmed_tracks_have_boxes(make_result: Callable[[int], FrameResult]) -> None:
-    result = make_result(0)
-    (track,) = result.tracks
-    shown = replace(track, state="confirmed", box_px=np.array([50.0, 40.0, 90.0, 80.0]))
-    without = draw_dynamic(images_of(result), result.points)
-    picture = draw_dynamic(images_of(result), result.points, 1.0, [shown])
-    assert (picture[60, 50] != without[60, 50]).any()
-    assert (picture[80, 70] != without[80, 70]).any()
-    coasting = draw_dynamic(
-        images_of(result), result.points, 1.0, [replace(shown, state="coasting")]
-    )
-    np.testing.assert_array_equal(coasting, without)

@@ -10,6 +10,7 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
 from ovmot.outputs import video
+from ovmot.outputs.tracks_overlay import Trails
 from ovmot.outputs.video import OverlayVideo, compose
 from ovmot.types import FrameResult, StereoFrame
 
@@ -44,8 +45,9 @@ def test_what_is_decoded_is_what_was_drawn(
         frames = list(container.decode(stream))
     assert len(frames) == len(STAMPS)
     assert [frame.time for frame in frames] == pytest.approx([1e-9 * s for s in STAMPS], abs=1e-4)
+    trails = Trails()
     for frame, result in zip(frames, results, strict=True):
-        expected = compose(result, rig)
+        expected = compose(result, rig, trails := trails.extended(result))
         decoded = frame.to_ndarray(format="bgr24")
         assert decoded.shape == expected.shape == (480, 480, 3)
         assert np.mean(np.abs(decoded.astype(float) - expected)) < 6.0
@@ -104,7 +106,7 @@ def test_full_disk_is_reported_and_the_unplayable_file_removed(
 def test_a_failure_in_the_background_comes_out_once_and_nobody_hangs(
     tmp_path: Path, rig: StereoRig, make_result: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(result: FrameResult, rig: StereoRig) -> None:
+    def fail(result: FrameResult, rig: StereoRig, trails: Trails) -> None:
         raise ValueError("cannot draw")
 
     monkeypatch.setattr(video, "compose", fail)

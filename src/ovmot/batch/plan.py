@@ -18,6 +18,7 @@ from pydantic import Discriminator, Field, Tag, ValidationError, field_validator
 
 from ovmot.config import SETTINGS_REMEDY, Section, Settings, plain_messages, read_yaml_mapping
 from ovmot.errors import InputError
+from ovmot.sim.miscalibration import CalibrationError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _RESERVED = ("data",)
@@ -70,6 +71,8 @@ class Features(Section):
     """How long; else to its end."""
     max_gap_s: float = Field(0.5, gt=0.0)
     """Holes in the recording up to this long are bridged."""
+    calibration_error: CalibrationError | None = None
+    """How far the calibration is off that the filter is given; drawn for each seed."""
 
     @model_validator(mode="after")
     def _depths_rise(self) -> "Features":

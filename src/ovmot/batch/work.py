@@ -7,6 +7,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ovmot.batch.jobs import JOB_JSON, METRICS_JSON, Job, RenderJob, RunJob, is_done
 from ovmot.batch.plan import Features, Recorded
 from ovmot.datasets.registry import open_sequence
@@ -16,9 +18,13 @@ from ovmot.run import RunOptions, run_features, run_sequence
 from ovmot.runtime import prepare_process
 from ovmot.sim.features import FeatureOptions, FeatureRecording
 from ovmot.sim.handheld import handheld_simulation
+from ovmot.sim.miscalibration import miscalibrated
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
 from ovmot.sim.writers import WRITERS
+
+_CALIBRATION_STREAM = 100
+"""Of a seed's random numbers: apart from those of the simulation itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,5 +102,9 @@ def _run_features(job: RunJob, spec: Features) -> None:
         max_gap_s=spec.max_gap_s,
     )  # fmt: skip
     recording = FeatureRecording(simulation, job.seed)
-    run_features(recording, job.settings, RunOptions(job.folder, force=True))
-    write_metrics(job.folder, evaluate_features(job.folder, recording))
+    told = None
+    if spec.calibration_error is not None:
+        rng = np.random.default_rng([job.seed, _CALIBRATION_STREAM])
+        told = miscalibrated(simulation.rig, spec.calibration_error, rng)
+    run_features(recording, job.settings, RunOptions(job.folder, force=True), told_rig=told)
+    write_metrics(job.folder, evaluate_features(job.folder, recording, told))

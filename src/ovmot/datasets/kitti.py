@@ -66,6 +66,7 @@ class KittiReader:
             imu=None,
             decode=read_grey,
             findings=findings,
+            numbers=listing.frame_ns,
         )
 
     def _layout(self, root: Path, sequence: str | None) -> _Layout:

@@ -22,7 +22,8 @@ Decode = Callable[[Path], Image]
 class FolderSequence:
     """M stereo pairs in files, and the IMU beside them.
 
-    `frame_ns` (M,) are the cameras' stamps in ns, rising; `imu` is None where the data has none
+    `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
+    its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
     `decode` turns a file into a grey image. `warnings` are sentences for the user; `counts` the
     numbers behind them.
@@ -35,6 +36,7 @@ class FolderSequence:
     imu_noise: ImuNoise | None
     imu: ImuData | None
     frame_ns: IntArray
+    frame_number: IntArray
     left_paths: tuple[Path, ...]
     right_paths: tuple[Path, ...]
     decode: Decode
@@ -55,10 +57,12 @@ def assemble(
     imu: ImuData | None,
     decode: Decode,
     findings: Findings,
+    numbers: IntArray | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 
-    Raises `DatasetError` if it covers none of them.
+    `numbers` (M,) are the data's own for the frames of `listing`. Raises `DatasetError` if it
+    covers none of them.
     """
     keep = np.arange(len(listing.frame_ns))
     if imu is not None:
@@ -74,6 +78,7 @@ def assemble(
         imu_noise=calibration.imu_noise,
         imu=imu,
         frame_ns=listing.frame_ns[keep],
+        frame_number=np.arange(len(keep)) if numbers is None else numbers[keep],
         left_paths=tuple(listing.left_paths[i] for i in keep),
         right_paths=tuple(listing.right_paths[i] for i in keep),
         decode=decode,

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ovmot.evaluation.matching import ComparedFrame
+from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, must_be_found
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 
@@ -110,6 +110,33 @@ def detection_latency(frames: Sequence[ComparedFrame]) -> Latency:
         for object_id in frame.objects.object_id[frame.pairs[:, 0]].tolist():
             found.setdefault(object_id, 1e-9 * (now - needed_since[object_id]))
     return Latency(np.array(list(found.values())), len(needed_since) - len(found))
+
+
+def pull_out_latency(frames: Sequence[ComparedFrame], criteria: ObjectCriteria) -> Latency:
+    """Per object that pulls out, from reaching the speed to its first confirmed track.
+
+    An object pulls out at the first frame at which it is as fast as that, where it was seen slower
+    in the frame before, and is then as near, as large in the image, and ahead; nothing else that
+    it does later counts. One that had a track before is found after 0 s.
+    """
+    fast: set[int] = set()
+    present: set[int] = set()
+    since: dict[int, int] = {}
+    found: dict[int, int] = {}
+    for frame in frames:
+        objects, now = frame.objects, frame.objects.timestamp_ns
+        quick = np.linalg.norm(objects.velocity, axis=1) >= criteria.min_speed_mps
+        close = must_be_found(objects, frame.T_true, criteria)
+        for row in np.flatnonzero(quick).tolist():
+            object_id = int(objects.object_id[row])
+            if close[row] and object_id in present - fast:
+                since[object_id] = now
+            fast.add(object_id)
+        present = set(objects.object_id.tolist())
+        for object_id in objects.object_id[frame.pairs[:, 0]].tolist():
+            found.setdefault(object_id, now)
+    late = [1e-9 * max(found[i] - since[i], 0) for i in since if i in found]
+    return Latency(np.array(late), len(since) - len(late))
 
 
 def _poses(yaw: FloatArray, position: FloatArray) -> FloatArray:

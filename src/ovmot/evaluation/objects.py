@@ -1,15 +1,24 @@
 """The moving objects of a run against the truth: every object metric in one flat table."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ovmot.evaluation.labels import LabelCounts
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, tracking_sequence
-from ovmot.evaluation.object_errors import Latency, PairErrors, detection_latency, pair_errors
+from ovmot.evaluation.object_errors import (
+    Latency,
+    PairErrors,
+    detection_latency,
+    pair_errors,
+    pull_out_latency,
+)
 from ovmot.evaluation.stereo_gate import GateCounts
 from ovmot.evaluation.tracking import ClearMot, Hota, Identity, clear_mot, hota, identity
 from ovmot.geometry.arrays import FloatArray
+
+PULL_OUT_MPS, PULL_OUT_RANGE_M = 2.0, 20.0
+"""An object that reaches this speed nearer than this pulls out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,14 +30,16 @@ class ObjectMetrics:
     hota: Hota | None
     errors: PairErrors
     latency: Latency
+    pull_outs: Latency
 
 
 def evaluate_objects(frames: tuple[ComparedFrame, ...], criteria: ObjectCriteria) -> ObjectMetrics:
     """All metrics of compared frames, in order of time."""
     sequence = tracking_sequence(frames, criteria.gate_m)
+    pulling_out = replace(criteria, min_speed_mps=PULL_OUT_MPS, max_range_m=PULL_OUT_RANGE_M)
     return ObjectMetrics(
         clear_mot(sequence), identity(sequence), hota(sequence),
-        pair_errors(frames), detection_latency(frames),
+        pair_errors(frames), detection_latency(frames), pull_out_latency(frames, pulling_out),
     )  # fmt: skip
 
 
@@ -36,6 +47,7 @@ def object_scalars(metrics: ObjectMetrics) -> dict[str, float | None]:
     """One flat table, names ending in the unit; None where there is nothing to measure."""
     clear, errors, latency, h = metrics.clear, metrics.errors, metrics.latency, metrics.hota
     velocity = np.linalg.norm(errors.velocity[:, :2], axis=1)
+    pulls = metrics.pull_outs
     return {
         "object_boxes": float(clear.n_true),
         "object_recall": clear.recall,
@@ -64,6 +76,9 @@ def object_scalars(metrics: ObjectMetrics) -> dict[str, float | None]:
         "object_velocity_nees": _velocity_nees(errors),
         "detection_latency_median_s": _median(latency.seconds),
         "objects_never_found": float(latency.never),
+        "pull_outs": float(len(pulls.seconds) + pulls.never),
+        "pull_out_latency_median_s": _median(pulls.seconds),
+        "pull_outs_never_found": float(pulls.never),
     }
 
 

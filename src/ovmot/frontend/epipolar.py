@@ -14,6 +14,10 @@ from ovmot.config import EpipolarSettings
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.types import StereoMatches
 
+_MIN_MATCHES = 20
+_TAILS = 1.5
+_LEAST_SIGMA_PX = 0.15
+
 
 def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatArray:
     """Lines (N, 3), a x + b y + c = 0 with a² + b² = 1, in the right plane: E x0 (E = [t]x R)."""
@@ -60,6 +64,26 @@ def gate_matches(
     with np.errstate(invalid="ignore"):
         accepted = distance <= settings.threshold_px
     return StereoMatches(feature_id, pixels, distance, accepted, lines)
+
+
+def no_matches() -> StereoMatches:
+    """Nothing was matched."""
+    ids, nothing = np.empty(0, dtype=np.int64), np.empty((0, 4))
+    return StereoMatches(ids, nothing, nothing[:, 0], ids > 0, nothing[:, :3])
+
+
+def match_sigma(matches: StereoMatches) -> float:
+    """Standard deviation of each pixel of a stereo pair, by the accepted distances; NaN for few.
+
+    A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
+    disparity has along it. Robust (1.4826 times the median), and widened for the heavier tails
+    that matches have.
+    """
+    distance = matches.distance_px[matches.accepted]
+    if len(distance) < _MIN_MATCHES:
+        return float("nan")
+    sigma = 1.4826 * float(np.median(distance)) / 2.0**0.5
+    return float(max(_TAILS * sigma, _LEAST_SIGMA_PX))
 
 
 def without_refused(values: FloatArray, matches: StereoMatches) -> FloatArray:

@@ -1,5 +1,7 @@
 """A front end for features that something else has tracked: a simulation, another tracker."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -11,6 +13,37 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
 
+def as_given(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Ids (N,) and pixels (N, 4) as they are."""
+    return feature_id, pixels.copy()
+
+
+def left_only(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """What the left camera alone would give."""
+    seen = np.isfinite(pixels[:, 0])
+    out = pixels[seen]
+    out[:, 2:] = np.nan
+    return feature_id[seen], out
+
+
+def taken_apart(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Each camera's features by themselves: id k becomes 2k in the left and 2k + 1 in the right."""
+    left, right = pixels.copy(), pixels.copy()
+    left[:, 2:] = right[:, :2] = np.nan
+    ids = np.concatenate([2 * feature_id, 2 * feature_id + 1])
+    both = np.concatenate([left, right])
+    seen = np.isfinite(both).any(axis=1)
+    return ids[seen], both[seen]
+
+
+ARRANGEMENTS: dict[str, Callable[[IntArray, FloatArray], tuple[IntArray, FloatArray]]] = {
+    "stereo": as_given,
+    "left": left_only,
+    "each": taken_apart,
+}
+"""What the setting `tracker.cameras` makes of given features."""
+
+
 class GivenFeatures:
     """Checks given features as the stereo tracker checks its own; remembers the last frame."""
 
@@ -18,7 +51,7 @@ class GivenFeatures:
         self, rig: StereoRig, settings: TrackerSettings, epipolar: EpipolarSettings
     ) -> None:
         self._rig = rig
-        self._threshold = settings.two_view_threshold_px / rig.cam0.fx
+        self._settings = settings
         self._epipolar = epipolar
         self._before: FrontendFrame | None = None
 
@@ -29,6 +62,9 @@ class GivenFeatures:
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """Given features are what they are."""
 
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """They need no prediction."""
+
     def close(self) -> None:
         """Nothing to stop."""
 
@@ -37,16 +73,19 @@ class GivenFeatures:
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame with accepted right halves only, and all tested pairs.
 
-        The prediction is not needed. Features whose left pixel the lens model does not reach are
-        left out. Raises `OvmotError` for a frame of images.
+        The prediction is not needed. Features whose pixel the lens model does not reach, in the
+        camera that follows them, are left out. Raises `OvmotError` for a frame of images.
         """
         if isinstance(frame, StereoFrame):
             raise OvmotError(f"frame {frame.timestamp_ns}: images where features were expected")
-        xy0 = self._rig.cam0.normalize(frame.pixels[:, :2])
-        known = np.isfinite(xy0).all(axis=1)
-        pixels, ids = frame.pixels[known].copy(), frame.feature_id[known]
-        normalized = np.concatenate([xy0[known], self._rig.cam1.normalize(pixels[:, 2:])], axis=1)
-        paired = np.isfinite(pixels[:, 2])
+        ids, pixels = ARRANGEMENTS[self._settings.cameras](frame.feature_id, frame.pixels)
+        normalized = np.concatenate(
+            [self._rig.cam0.normalize(pixels[:, :2]), self._rig.cam1.normalize(pixels[:, 2:])], 1
+        )
+        of_left = np.isfinite(pixels[:, 0])
+        known = np.isfinite(np.where(of_left, normalized[:, 0], normalized[:, 2]))
+        ids, pixels, normalized = ids[known], pixels[known], normalized[known]
+        paired = np.isfinite(pixels[:, [0, 2]]).all(axis=1)
         matches = gate_matches(
             ids[paired], pixels[paired], normalized[paired], self._rig, self._epipolar
         )
@@ -67,7 +106,14 @@ class GivenFeatures:
                 ids, before.feature_id, assume_unique=True, return_indices=True
             )
             hops[now] = before.hops[then] + 1
-            inlier[now] = two_view_inliers(
-                before.normalized[then, :2], normalized[now, :2], self._threshold
-            )
+            of_left = np.isfinite(pixels[now, 0])
+            for view, camera, own in (
+                (slice(0, 2), self._rig.cam0, of_left),
+                (slice(2, 4), self._rig.cam1, ~of_left),
+            ):
+                inlier[now[own]] = two_view_inliers(
+                    before.normalized[then[own], view],
+                    normalized[now[own], view],
+                    self._settings.two_view_threshold_px / camera.fx,
+                )
         return FrontendFrame(timestamp_ns, ids, pixels, normalized, hops, inlier)

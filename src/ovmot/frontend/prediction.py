@@ -3,20 +3,22 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 _NEAREST = 5
+_LEAST_EXTRA_PX = 3.0
 _MAX_EXTRA_FLOW_PX = 80.0
 
 
-def predict_left(
-    xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, rig: StereoRig
+def predict_pixels(
+    xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, camera: Camera
 ) -> tuple[FloatArray, FloatArray]:
-    """Left pixels (N, 2) now of points at rest, and their depth (N,), NaN where unknown.
+    """Pixels (N, 2) now of points at rest, and their depth (N,), NaN where unknown.
 
-    `p_before` (N, 3): positions in the earlier left camera; a point without one is taken as
+    `p_before` (N, 3): positions in the camera's frame of before; a point without one is taken as
     infinitely far, so that it moves by the rotation alone. NaN for pixels outside the lens model.
     """
     ray = np.concatenate([xy_before, np.ones((len(xy_before), 1))], axis=1)
@@ -24,7 +26,7 @@ def predict_left(
     near = se3.apply(T_now_before, p_before)
     usable = np.isfinite(near[:, 2]) & (near[:, 2] > 0.2)
     point = np.where(usable[:, None], near, far)
-    return rig.cam0.project(point), np.where(usable, near[:, 2], np.nan)
+    return camera.project(point), np.where(usable, near[:, 2], np.nan)
 
 
 def unexplained_flow(found: FloatArray, at_rest: FloatArray, explained: BoolArray) -> FloatArray:
@@ -36,6 +38,25 @@ def unexplained_flow(found: FloatArray, at_rest: FloatArray, explained: BoolArra
     size = np.linalg.norm(extra, axis=1)
     carried = ~explained & np.isfinite(size) & (size < _MAX_EXTRA_FLOW_PX)
     return np.where(carried[:, None], extra, 0.0)
+
+
+def flow_nearby(
+    uv: FloatArray, at_rest: FloatArray, found: FloatArray, ok: BoolArray
+) -> FloatArray:
+    """Where lost points would be, had they gone as the movers around them: (N, 2), NaN for others.
+
+    `found` (N, 2) of the points `uv` (N, 2) that are `ok` (N,), against `at_rest` (N, 2).
+    """
+    start = np.full(uv.shape, np.nan)
+    extra = found - at_rest
+    with np.errstate(invalid="ignore"):
+        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > _LEAST_EXTRA_PX))
+    lost = np.flatnonzero(~ok)
+    if len(moves) < _NEAREST or len(lost) == 0:
+        return start
+    _, nearest = cKDTree(uv[moves]).query(uv[lost], k=_NEAREST)
+    start[lost] = at_rest[lost] + np.median(extra[moves][nearest], axis=1)
+    return start
 
 
 def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray:

@@ -1,7 +1,6 @@
 """The stereo tracker: from one stereo frame to the next, features with ids."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,46 +8,16 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend.contrast import EQUALIZERS
-from ovmot.frontend.corners import choose_corners, fast_corners
 from ovmot.frontend.epipolar import gate_matches, without_refused
-from ovmot.frontend.flow import follow
-from ovmot.frontend.focus import dense_settings, focus_mask, sparse_settings
-from ovmot.frontend.prediction import fill_depths, predict_left, predict_right, unexplained_flow
-from ovmot.frontend.two_view import two_view_inliers
-from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.frontend.flow import follow, follow_lost
+from ovmot.frontend.patches import align, smoothed
+from ovmot.frontend.points import CameraPoints, FeatureIds, PointFollower, View
+from ovmot.frontend.prediction import fill_depths, predict_right
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
-_BORDER_PX = 3.0
-_UNLIMITED = 100_000
 _DEFAULT_DEPTH_BASELINES = 40.0  # where nothing is known, points are taken this far away
-
-
-@dataclass(frozen=True, slots=True)
-class _LeftPoints:
-    """N features in the present left image.
-
-    `uv` pixels and `xy` plane coordinates (N, 2), `hops` (N,), `depth` (N,) expected in metres or
-    NaN, `extra_flow` (N, 2) image motion beyond a resting point's, `inlier` (N,) of the two-view
-    test.
-    """
-
-    feature_id: IntArray
-    uv: FloatArray
-    xy: FloatArray
-    hops: IntArray
-    depth: FloatArray
-    extra_flow: FloatArray
-    inlier: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Memory:
-    """The last frame: its equalised left image, its points, and their stereo pairs (N, 4)."""
-
-    left: Image
-    points: _LeftPoints
-    normalized: FloatArray
 
 
 class StereoTracker:
@@ -65,9 +34,10 @@ class StereoTracker:
         self._settings = settings
         self._epipolar = epipolar
         self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
-        self._memory: _Memory | None = None
-        self._next_id = 0
-        self._focus = (np.empty((0, 2)), np.empty(0))
+        self._left = PointFollower(settings, self._workers, FeatureIds())
+        self._pairs = np.empty((0, 4))  # plane coordinates of the last frame
+        self._last_ns = 0
+        self._moving = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
     def calibrate(self, rig: StereoRig) -> None:
         """From now on the rig is calibrated like this."""
@@ -75,7 +45,11 @@ class StereoTracker:
 
     def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
         """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
-        self._focus = (uv, radius_px)
+        self._left.focus(uv, radius_px)
+
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
+        self._moving = (feature_id, velocity)
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -90,98 +64,45 @@ class StereoTracker:
         points of the earlier camera frame into the present one. Raises `OvmotError` for a frame
         without images.
         """
-        if isinstance(frame, FeatureFrame):
-            raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
-        equalize = EQUALIZERS[self._settings.equalization]
-        left, right = self._workers.map(equalize, (frame.left, frame.right))
-        points = self._follow_left(left, T_now_before, frame.left_mask)
-        points = self._add_corners(left, points, frame.left_mask)
-        pixels, normalized, matches = self._match_right(left, right, points, frame.right_mask)
-        self._memory = _Memory(left, points, normalized)
+        left, right = views(frame, self._rig, self._settings, self._workers)
+        p_before = triangulate_stereo(self._pairs, self._rig.T_cam1_cam0)
+        p_moved = p_before + self._moved(1e-9 * (frame.timestamp_ns - self._last_ns))
+        points = self._left.step(left, p_before, p_moved, T_now_before)
+        self._last_ns = frame.timestamp_ns
+        pixels, self._pairs, matches = self._match_right(left, right, points)
         seen = FrontendFrame(
-            frame.timestamp_ns, points.feature_id, pixels, normalized, points.hops, points.inlier
+            frame.timestamp_ns, points.feature_id, pixels, self._pairs, points.hops, points.inlier
         )
         return seen, matches
 
-    def _follow_left(
-        self, left: Image, T_now_before: FloatArray, mask: Image | None
-    ) -> _LeftPoints:
-        """The last frame's features in this left image; those lost are gone."""
-        if self._memory is None:
-            return _no_points()
-        old, before = self._memory.points, self._memory.normalized
-        p_before = triangulate_stereo(before, self._rig.T_cam1_cam0)
-        at_rest, depth = predict_left(old.xy, p_before, T_now_before, self._rig)
-        start = at_rest + old.extra_flow
-        uv, ok = follow(self._memory.left, left, old.uv, start, self._settings, self._workers)
-        xy = self._rig.cam0.normalize(uv)
-        ok &= self._rig.cam0.inside(uv, _BORDER_PX) & np.isfinite(xy[:, 0])
-        ok &= ~_is_masked(uv, mask)
-        threshold = self._settings.two_view_threshold_px / self._rig.cam0.fx
-        inlier = two_view_inliers(old.xy[ok], xy[ok], threshold)
-        return _LeftPoints(
-            feature_id=old.feature_id[ok],
-            uv=uv[ok],
-            xy=xy[ok],
-            hops=old.hops[ok] + 1,
-            depth=depth[ok],
-            extra_flow=unexplained_flow(uv[ok], at_rest[ok], inlier),
-            inlier=inlier,
-        )
-
-    def _add_corners(self, left: Image, points: _LeftPoints, mask: Image | None) -> _LeftPoints:
-        """The points and as many new corners as there is room for."""
-        uv = self._new_corners(left, points.uv, mask)
-        xy = self._rig.cam0.normalize(uv)
-        uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
-        n = len(uv)
-        new_ids = np.arange(self._next_id, self._next_id + n, dtype=np.int64)
-        self._next_id += n
-        return _LeftPoints(
-            feature_id=np.concatenate([points.feature_id, new_ids]),
-            uv=np.concatenate([points.uv, uv]),
-            xy=np.concatenate([points.xy, xy]),
-            hops=np.concatenate([points.hops, np.zeros(n, dtype=np.int64)]),
-            depth=np.concatenate([points.depth, np.full(n, np.nan)]),
-            extra_flow=np.concatenate([points.extra_flow, np.zeros((n, 2))]),
-            inlier=np.concatenate([points.inlier, np.ones(n, dtype=np.bool_)]),
-        )
-
-    def _new_corners(self, left: Image, existing: FloatArray, mask: Image | None) -> FloatArray:
-        """New corners (M, 2) over the image, where it has few, and where something may move."""
-        settings, shape = self._settings, left.shape
-        focus = focus_mask(shape, *self._focus)
-        corners, response = fast_corners(left, settings.fast_threshold, mask)
-        within, has = _is_masked(corners, focus), _is_masked(existing, focus)
-        taken, resting = existing, int((~has).sum())
-        for n_most, chosen in (
-            (settings.max_features - resting, settings),
-            (_UNLIMITED, sparse_settings(settings)),
-        ):
-            new = choose_corners(
-                corners[~within], response[~within], taken,
-                n_most - (len(taken) - len(existing)), chosen, shape,
-            )  # fmt: skip
-            taken = np.concatenate([taken, new])
-        n_most = settings.focus_features - int(has.sum())
-        new = choose_corners(
-            corners[within], response[within], taken, n_most, dense_settings(settings), shape
-        )
-        return np.concatenate([taken, new])[len(existing) :]
+    def _moved(self, dt_s: float) -> FloatArray:
+        """How far (N, 3) the last points went by themselves, in the camera's axes of then."""
+        moved = np.zeros((len(self._left.points), 3))
+        ids, velocity = self._moving
+        if len(ids):
+            order = np.argsort(ids)
+            found = np.isin(self._left.points.feature_id, ids)
+            index = np.searchsorted(ids, self._left.points.feature_id[found], sorter=order)
+            moved[found] = velocity[order[index]] * dt_s
+        return moved
 
     def _match_right(
-        self, left: Image, right: Image, points: _LeftPoints, mask: Image | None
+        self, left: View, right: View, points: CameraPoints
     ) -> tuple[FloatArray, FloatArray, StereoMatches]:
         """Pixels and plane coordinates (N, 4), accepted right halves only, and all tested pairs."""
         default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
-        uv, ok = follow(left, right, points.uv, start, self._settings, self._workers)
-        ok &= self._rig.cam1.inside(uv, _BORDER_PX) & ~_is_masked(uv, mask)
-        if self._settings.cameras == "left":
-            ok[:] = False
+        pictures = left.image, right.image, points.uv
+        flow = follow(*pictures, start, self._settings, self._workers)
+        nowhere = np.empty((0, *start.shape))
+        flow = follow_lost(*pictures, flow, nowhere, start, self._settings, self._workers)
+        patches = self._left.patches
+        refined, _, fits = align(patches, right.smooth, flow.uv, patches.warp, self._workers)
+        uv = np.where(fits[:, None], refined, flow.uv)
+        ok = flow.found & right.shows(uv)
         pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
-        xy = self._rig.cam1.normalize(pixels[:, 2:])
+        xy = right.camera.normalize(pixels[:, 2:])
         normalized = np.concatenate([points.xy, xy], axis=1)
         matches = gate_matches(
             points.feature_id[ok], pixels[ok], normalized[ok], self._rig, self._epipolar
@@ -191,19 +112,18 @@ class StereoTracker:
         return pixels, normalized, matches
 
 
-def _is_masked(uv: FloatArray, mask: Image | None) -> BoolArray:
-    """Which pixels (N, 2) lie where the mask is not zero; those outside it do not."""
-    masked = np.zeros(len(uv), dtype=np.bool_)
-    if mask is None:
-        return masked
-    height, width = mask.shape
-    near = np.isfinite(uv).all(axis=1)
-    u, v = np.round(uv[near]).astype(np.int64).T
-    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    masked[np.flatnonzero(near)[inside]] = mask[v[inside], u[inside]] > 0
-    return masked
-
-
-def _no_points() -> _LeftPoints:
-    two, ints = np.empty((0, 2)), np.empty(0, dtype=np.int64)
-    return _LeftPoints(ints, two, two, ints, np.empty(0), two, np.empty(0, dtype=np.bool_))
+def views(
+    frame: StereoFrame | FeatureFrame,
+    rig: StereoRig,
+    settings: TrackerSettings,
+    workers: ThreadPoolExecutor,
+) -> tuple[View, View]:
+    """Left and right view of a frame, equalised; raises `OvmotError` for one without images."""
+    if isinstance(frame, FeatureFrame):
+        raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
+    left, right = workers.map(EQUALIZERS[settings.equalization], (frame.left, frame.right))
+    smooth_left, smooth_right = workers.map(smoothed, (left, right))
+    return (
+        View(left, smooth_left, frame.left_mask, rig.cam0),
+        View(right, smooth_right, frame.right_mask, rig.cam1),
+    )

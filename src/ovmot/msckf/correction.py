@@ -5,12 +5,13 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import FilterSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.msckf.agreement import scaled, shares
 from ovmot.msckf.calibration import calibrated_rig
 from ovmot.msckf.features import (
     FeatureSystem,
     chi2_gate,
     linearize,
-    project_nullspace,
+    separate_points,
     triangulate_features,
 )
 from ovmot.msckf.slam import add_landmarks, update_landmarks
@@ -18,7 +19,9 @@ from ovmot.msckf.state import State, drop_landmarks
 from ovmot.msckf.update import compress, ekf_update
 from ovmot.tracks import TrackTable, mark_used
 
-_MIN_VIEWS = 3  # left observations from different clones
+NOT_KEPT = -1
+"""Instead of a landmark's id: the feature is used once."""
+_MIN_VIEWS = 3  # observations from different clones, a stereo pair counted once
 _MAX_REFUSED = 3  # updates in a row after which a landmark is not believed any more
 
 
@@ -30,8 +33,7 @@ def own_rows(table: TrackTable, state: State) -> BoolArray:
 
 def usable_observations(table: TrackTable, state: State) -> BoolArray:
     """Observations (T, F) that an update may take: unused, of features that are not barred."""
-    seen = np.isfinite(table.pixels[..., 0])
-    return seen & ~table.used & ~table.barred & own_rows(table, state)[:, None]
+    return table.seen & ~table.used & ~table.barred & own_rows(table, state)[:, None]
 
 
 def correct_with_features(
@@ -64,48 +66,44 @@ def correct_with_features(
     lasting = _first(chosen & ~gone, views, room)
     chosen = _first(chosen & ~lasting, views, settings.max_features_per_update)
     spent = usable & (chosen | lasting | gone)
-    if chosen.any():
-        pixels = _per_clone(table, state, usable, chosen)
-        state = update_with_tracks(state, now, pixels, settings)
-    if lasting.any():
-        pixels = _per_clone(table, state, usable, lasting)
-        ids = table.feature_id[lasting]
-        state = add_with_tracks(state, now, rig.T_imu_cam0, ids, pixels, settings)
+    taken = chosen | lasting
+    if taken.any():
+        pixels = _per_clone(table, state, usable, taken)
+        joining = np.where(lasting, table.feature_id, NOT_KEPT)[taken]
+        state = update_with_tracks(state, now, rig.T_imu_cam0, pixels, joining, settings)
     return state, mark_used(table, spent)
 
 
 def update_with_tracks(
-    state: State, rig: StereoRig, pixels: FloatArray, settings: FilterSettings
-) -> State:
-    """MSCKF update by features seen as (F, K, 4) from the K clones; `rig` as calibrated now."""
-    system, _, _ = _located(state, rig, pixels, settings)
-    if not len(system.residual):
-        return state
-    H, residual = project_nullspace(system)
-    columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
-    P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
-    passed = chi2_gate(P, H, residual, system.n_rows - 3, settings.chi2_multiplier)
-    if not passed.any():
-        return state
-    H, residual = H[passed].reshape(-1, H.shape[2]), residual[passed].ravel()
-    real = np.abs(H).max(axis=1) > 0.0
-    H, residual = compress(H[real], residual[real])
-    return ekf_update(state, H, columns, residual, np.ones(len(residual)))
-
-
-def add_with_tracks(
     state: State,
     rig: StereoRig,
     T_imu_anchor: FloatArray,
-    feature_id: IntArray,
     pixels: FloatArray,
+    landmark_id: IntArray,
     settings: FilterSettings,
 ) -> State:
-    """Take features (F,), seen as (F, K, 4) from the K clones, into the state as landmarks."""
+    """Update by features seen as (F, K, 4) from the K clones; `rig` as calibrated now.
+
+    Those with a `landmark_id` (F,) stay in the state as landmarks of that id. All are linearised at
+    one state and update together: one after another, each would have to be linearised anew.
+    """
     system, p_world, found = _located(state, rig, pixels, settings)
-    return add_landmarks(
-        state, system, feature_id[found], p_world, T_imu_anchor, settings.chi2_multiplier
+    if not len(system.residual):
+        return state
+    free = separate_points(system)
+    columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
+    P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
+    passed = chi2_gate(P, free.H, free.residual, free.dof, settings.chi2_multiplier)
+    share = shares(state, free.H, free.residual, columns, passed)
+    if not share.any():
+        return state
+    landmark_id = landmark_id[found]
+    joining = (share > 0.0) & (landmark_id != NOT_KEPT)
+    state = add_landmarks(
+        state, free.points.rows(joining), landmark_id[joining], p_world[joining], T_imu_anchor
     )
+    H, residual = compress(*scaled(free.H, free.residual, share))
+    return ekf_update(state, H, columns, residual, np.ones(len(residual)))
 
 
 def _correct_with_landmarks(

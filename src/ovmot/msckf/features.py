@@ -22,6 +22,8 @@ from ovmot.msckf.calibration import (
 from ovmot.msckf.state import Clones, State
 from ovmot.msckf.update import chi2_bound
 
+_BESIDE = 0.1  # of the picture's width: a linearisation this far outside still holds
+
 
 @dataclass(frozen=True, slots=True)
 class Reprojection:
@@ -50,6 +52,36 @@ class FeatureSystem:
     H_point: FloatArray
     residual: FloatArray
     n_rows: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class PointRows:
+    """What determines F points: R δp + H x = residual, with white noise of variance 1.
+
+    `R` (F, 3, 3), upper triangular, `H` (F, 3, C + 6K), `residual` (F, 3).
+    """
+
+    R: FloatArray
+    H: FloatArray
+    residual: FloatArray
+
+    def rows(self, kept: BoolArray) -> "PointRows":
+        """Those of some points."""
+        return PointRows(self.R[kept], self.H[kept], self.residual[kept])
+
+
+@dataclass(frozen=True, slots=True)
+class SeparatedSystem:
+    """Measurements of F features: rows that determine the points, and rows without them.
+
+    `H` (F, M - 3, C + 6K) and `residual` (F, M - 3) do not depend on the points; their noise is
+    independent of that of `points`. `dof` (F,): how many of these rows are real.
+    """
+
+    points: PointRows
+    H: FloatArray
+    residual: FloatArray
+    dof: IntArray
 
 
 def triangulate_features(
@@ -82,6 +114,9 @@ def reproject(
     `pixels` (F, K, 4), NaN where unseen; `points`: world points (F, 3) at the latest and at the
     first estimates; `rig` as calibrated now. With p_imu = Rᵀ(p - t): ∂p_imu/∂θ = [p_imu]x,
     ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
+
+    A view counts where the point it is linearised at lies in the picture too: beside it, and near
+    the camera's plane, the derivatives are huge and say nothing of what was seen.
     """
     shape = pixels.shape
     residual, by_pose = np.empty(shape), np.empty((*shape, 6))
@@ -90,6 +125,7 @@ def reproject(
     p_imu = se3.apply(se3.inverse(clones.T_world_imu)[None], points[0][:, None])
     p_first = se3.apply(first[None], points[1][:, None])
     by_theta = so3.hat(p_first)
+    in_picture = np.empty(shape, dtype=np.bool_)
     for side, (camera, T_imu_cam) in enumerate(
         ((rig.cam0, rig.T_imu_cam0), (rig.cam1, rig.T_imu_cam1))
     ):
@@ -97,7 +133,8 @@ def reproject(
         rows = slice(2 * side, 2 * side + 2)
         residual[..., rows] = pixels[..., rows] - camera.project(se3.apply(T_cam_imu, p_imu))
         p_cam = se3.apply(T_cam_imu, p_first)
-        _, J = camera.project_with_jacobian(p_cam)
+        at_first, J = camera.project_with_jacobian(p_cam)
+        in_picture[..., rows] = camera.inside(at_first, -_BESIDE * camera.width)[..., None]
         J_imu = J @ T_cam_imu[:3, :3]
         by_point[..., rows, :] = J_imu @ first[None, :, :3, :3]
         by_pose[..., rows, :3] = J_imu @ by_theta
@@ -111,7 +148,7 @@ def reproject(
         where = calibration.where(LENSES[side])
         if where is not None:
             by_calibration[..., rows, where] = lens_jacobian(camera, p_cam)
-    seen = np.isfinite(residual) & np.isfinite(by_pose).all(-1)
+    seen = in_picture & np.isfinite(residual) & np.isfinite(by_pose).all(-1)
 
     def whitened(values: FloatArray) -> FloatArray:
         return np.where(seen[..., None], values / sigma_px, 0.0)
@@ -143,16 +180,16 @@ def linearize(
     )
 
 
-def project_nullspace(system: FeatureSystem) -> tuple[FloatArray, FloatArray]:
-    """H and residual without the point: (F, M - 3, C + 6K) and (F, M - 3).
+def separate_points(system: FeatureSystem) -> SeparatedSystem:
+    """The same measurements turned so that only the first three rows of each depend on the point.
 
-    Three reflections, on all features at once, bring H_point to triangular form; the rows below no
-    longer depend on the point.
+    Three reflections, on all features at once, bring H_point to triangular form.
     """
     A = triangularize(
         np.concatenate([system.H_point, system.H, system.residual[..., None]], axis=2), 3
     )
-    return A[:, 3:, 3:-1], A[:, 3:, -1]
+    point = PointRows(A[:, :3, :3], A[:, :3, 3:-1], A[:, :3, -1])
+    return SeparatedSystem(point, A[:, 3:, 3:-1], A[:, 3:, -1], system.n_rows - 3)
 
 
 def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
@@ -179,7 +216,8 @@ def chi2_gate(
 
     `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies.
     """
-    S = H @ P @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
+    HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)  # one product, not one a feature
+    S = HP @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
     distance = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
     bounds = np.array([chi2_bound(max(int(d), 1)) for d in dof])
     passed: BoolArray = (distance < multiplier * bounds) & (dof > 0)

@@ -14,6 +14,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.msckf.calibration import Calibration, correct_imu, imu_intrinsics, imu_sensitivity
 from ovmot.msckf.state import (
     ACCEL_BIAS,
+    CLONE_SIZE,
     GYRO_BIAS,
     N_BASE,
     N_IMU,
@@ -178,20 +179,24 @@ def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> Sta
     The clone's error holds the time offset's: the pose is that of t_cam + offset, so it moves by
     (ω, v)·δoffset (M. Li & A. Mourikis, IJRR 2014). `angular_velocity` (3,): body rates, rad/s.
     """
-    n, at = len(state.covariance), state.first_landmark
-    J = np.zeros((6, n))
-    J[:3, THETA] = J[3:, POSITION] = np.eye(3)
-    J[:3, TIME_OFFSET] = angular_velocity
-    J[3:, TIME_OFFSET] = state.imu.velocity
+    P, n, at = state.covariance, len(state.covariance), state.first_landmark
+    by_offset = np.concatenate([angular_velocity, state.imu.velocity])
+    pose = P[THETA.start : POSITION.stop] + np.outer(by_offset, P[TIME_OFFSET])
     # the clone comes after the others, before the landmarks
-    G = np.concatenate([np.eye(n)[:at], J, np.eye(n)[at:]])
+    new, old = slice(at, at + CLONE_SIZE), np.r_[:at, at + CLONE_SIZE : n + CLONE_SIZE]
+    covariance = np.empty((n + CLONE_SIZE, n + CLONE_SIZE))
+    covariance[np.ix_(old, old)] = P
+    covariance[new, old], covariance[old, new] = pose, pose.T
+    covariance[new, new] = pose[:, THETA.start : POSITION.stop] + np.outer(
+        pose[:, TIME_OFFSET], by_offset
+    )
     T = pose_matrix(state.imu)
     clones = Clones(
         np.append(state.clones.timestamp_ns, frame_ns),
         np.concatenate([state.clones.T_world_imu, T[None]]),
         np.concatenate([state.clones.T_world_imu_first, T[None]]),
     )
-    return replace(state, clones=clones, covariance=G @ state.covariance @ G.T)
+    return replace(state, clones=clones, covariance=covariance)
 
 
 def _chain(R_start: FloatArray, steps: FloatArray) -> FloatArray:

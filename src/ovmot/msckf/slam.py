@@ -1,17 +1,20 @@
 """Landmarks in the state: where they are, how they are seen, how they come and change their anchor.
 
 Initialised late, from all that the window saw of them (M. Li & A. Mourikis, RSS 2012): the rows of
-that measurement which determine the landmark give its value and covariance, the others update.
+that measurement which determine the landmark give its value and covariance; the others update, as
+those of any feature.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.msckf.features import FeatureSystem, chi2_gate, reproject, triangularize
+from ovmot.msckf.agreement import scaled, shares
+from ovmot.msckf.features import PointRows, chi2_gate, reproject, triangularize
 from ovmot.msckf.landmarks import NO_ANCHOR, Landmarks
 from ovmot.msckf.state import CLONE_SIZE, Clones, State
 from ovmot.msckf.update import ekf_update
@@ -105,34 +108,43 @@ def update_landmarks(
     refused = np.where(seen & ~passed, state.landmarks.refused + 1, state.landmarks.refused)
     refused = np.where(passed, 0, refused)
     state = replace(state, landmarks=replace(state.landmarks, refused=refused))
-    H, residual = H[passed].reshape(-1, H.shape[2]), residual[passed].ravel()
-    real = np.abs(H).max(axis=1, initial=0.0) > 0.0
-    H, residual = H[real], residual[real]
+    share = shares(state, H, residual, columns, passed)
+    if not share.any():
+        return state
+    H, residual = scaled(H, residual, share)
     return ekf_update(state, H, columns, residual, np.ones(len(residual)))
 
 
 def add_landmarks(
     state: State,
-    system: FeatureSystem,
+    rows: PointRows,
     feature_id: IntArray,
     p_world: FloatArray,
     T_imu_anchor: FloatArray,
-    chi2_multiplier: float,
 ) -> State:
-    """Take features into the state, one after another, each with what the window saw of it.
+    """Take features (L,) at `p_world` (L, 3) into the state by the rows that determine them.
 
-    `system` over the calibration and the clones, as `linearize` gives it at `p_world` (F, 3); the
-    newest clone becomes the anchor. A feature that the gate refuses is left out.
+    The newest clone becomes the anchor. The value v follows from A v + B x = r, with white noise of
+    variance 1: its error is -A⁻¹ (B x - n). Features whose rows leave a direction open stay out.
     """
-    for k in range(len(feature_id)):
-        one = FeatureSystem(
-            system.H[k : k + 1], system.H_point[k : k + 1], system.residual[k : k + 1],
-            system.n_rows[k : k + 1],
-        )  # fmt: skip
-        state = _add_landmark(
-            state, one, int(feature_id[k]), p_world[k], T_imu_anchor, chi2_multiplier
-        )
-    return state
+    pivots = np.abs(np.diagonal(rows.R, axis1=1, axis2=2))
+    known = pivots.min(axis=1) > 1e-9 * pivots.max(axis=1)
+    rows, feature_id, p_world = rows.rows(known), feature_id[known], p_world[known]
+    if not len(feature_id):
+        return state
+    new = _new_landmarks(state, feature_id, p_world, T_imu_anchor)
+    A, B, residual = _rows_of_values(state, new, rows, T_imu_anchor)
+    A_inverse = np.linalg.inv(A)
+    n, size = len(new), new.size
+    G = (-A_inverse @ B).reshape(n * size, -1)
+    used = slice(state.first_clone - len(state.calibration), state.first_landmark)
+    P = state.covariance
+    cross = G @ P[used]
+    own = cross[:, used] @ G.T
+    own += block_diag(*(A_inverse @ np.swapaxes(A_inverse, -1, -2)))
+    value = new.moved((A_inverse @ residual[..., None]).ravel())
+    covariance = np.block([[P, cross.T], [cross, 0.5 * (own + own.T)]])
+    return replace(state, landmarks=state.landmarks.joined(value), covariance=covariance)
 
 
 def change_anchor(state: State, leaving_ns: int, kept_ns: int, T_imu_anchor: FloatArray) -> State:
@@ -158,71 +170,62 @@ def change_anchor(state: State, leaving_ns: int, kept_ns: int, T_imu_anchor: Flo
     after = landmark_points(new, state.clones, T_imu_anchor, first=True)
     to_value = np.linalg.inv(after.by_value)
     size, first_column = landmarks.size, state.first_landmark
-    G = np.eye(len(state.covariance))
+    G = np.zeros((len(moving), size, len(state.covariance)))
     for k, index in enumerate(moving):
-        rows = slice(first_column + size * index, first_column + size * (index + 1))
+        own = slice(first_column + size * index, first_column + size * (index + 1))
         step = to_value[k][3 - size :]
-        G[rows] = 0.0
-        G[rows, rows] = step @ before.by_value[k][:, 3 - size :]
-        G[rows, state.clone_columns(int(before.anchor[k]))] += step @ before.by_anchor[k]
-        G[rows, state.clone_columns(int(after.anchor[k]))] -= step @ after.by_anchor[k]
+        G[k, :, own] = step @ before.by_value[k][:, 3 - size :]
+        G[k, :, state.clone_columns(int(before.anchor[k]))] += step @ before.by_anchor[k]
+        G[k, :, state.clone_columns(int(after.anchor[k]))] -= step @ after.by_anchor[k]
+    by_state = G.reshape(len(moving) * size, -1)
+    rows = first_column + (size * moving[:, None] + np.arange(size)).ravel()
+    covariance = state.covariance.copy()
+    cross = by_state @ covariance
+    covariance[rows], covariance[:, rows] = cross, cross.T
+    covariance[np.ix_(rows, rows)] = cross @ by_state.T
     anchor_ns = landmarks.anchor_ns.copy()
     value, first = landmarks.value.copy(), landmarks.first.copy()
     anchor_ns[moving], value[moving], first[moving] = new.anchor_ns, new.value, new.first
     return replace(
         state,
         landmarks=replace(landmarks, anchor_ns=anchor_ns, value=value, first=first),
-        covariance=G @ state.covariance @ G.T,
+        covariance=covariance,
     )
 
 
-def _add_landmark(
-    state: State, system: FeatureSystem, feature_id: int, p_world: FloatArray,
-    T_imu_anchor: FloatArray, chi2_multiplier: float,
-) -> State:  # fmt: skip
-    """QR of [H_landmark | H | r]: the upper rows make the landmark, the lower ones update."""
-    landmarks, size = state.landmarks, state.landmarks.size
-    anchored = landmarks.representation.anchored
-    anchor_ns = np.array([state.clones.timestamp_ns[-1] if anchored else NO_ANCHOR])
+def _new_landmarks(
+    state: State, feature_id: IntArray, p_world: FloatArray, T_imu_anchor: FloatArray
+) -> Landmarks:
+    """Landmarks at world points (L, 3), relative to the newest clone where they have an anchor.
+
+    By the first poses and by the latest ones they are at the same point, where it was linearised.
+    """
+    n, clones = len(feature_id), state.clones
+    anchored = state.landmarks.representation.anchored
+    anchor_ns = np.full(n, clones.timestamp_ns[-1] if anchored else NO_ANCHOR)
     new = replace(
-        landmarks, feature_id=np.array([feature_id]), value=np.zeros((1, 3)),
-        first=np.zeros((1, 3)), anchor_ns=anchor_ns, refused=np.zeros(1, dtype=np.int64),
+        state.landmarks, feature_id=feature_id, value=np.zeros((n, 3)), first=np.zeros((n, 3)),
+        anchor_ns=anchor_ns, refused=np.zeros(n, dtype=np.int64),
     )  # fmt: skip
-    first = _written(p_world[None], new, state.clones.T_world_imu_first, state.clones, T_imu_anchor)
-    value = _written(p_world[None], new, state.clones.T_world_imu, state.clones, T_imu_anchor)
-    new = replace(new, value=value, first=first)
+    return replace(
+        new,
+        value=_written(p_world, new, clones.T_world_imu, clones, T_imu_anchor),
+        first=_written(p_world, new, clones.T_world_imu_first, clones, T_imu_anchor),
+    )
+
+
+def _rows_of_values(
+    state: State, new: Landmarks, rows: PointRows, T_imu_anchor: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A (L, s, s), B (L, s, C + 6K) and residual (L, s) of A v + B x = r, from rows in points."""
     point = landmark_points(new, state.clones, T_imu_anchor, first=True)
-    H = system.H.copy()
-    _add_anchor(H, system.H_point @ point.by_anchor, point.anchor, len(state.calibration))
-    by_value = system.H_point @ point.by_value
-    H, residual, n_rows = _without(by_value[..., : 3 - size], np.concatenate(
-        [by_value[..., 3 - size :], H], axis=2), system.residual, system.n_rows)  # fmt: skip
-    A = triangularize(np.concatenate([H, residual[..., None]], axis=2), size)
-    upper, lower = A[0, :size], A[:, size:]
-    start, stop = state.first_clone - len(state.calibration), state.first_landmark
-    P = state.covariance
-    passed = chi2_gate(
-        P[start:stop, start:stop], lower[..., size:-1], lower[..., -1], n_rows - size,
-        chi2_multiplier,
-    )  # fmt: skip
-    R = upper[:, :size]
-    if not passed[0] or np.abs(np.diag(R)).min() < 1e-9 * np.abs(np.diag(R)).max():
-        return state
-    R_inverse = np.linalg.inv(R)
-    G = -R_inverse @ upper[:, size:-1]
-    cross = G @ P[start:stop]
-    own = cross[:, start:stop] @ G.T + R_inverse @ R_inverse.T
-    moved = new.moved(R_inverse @ upper[:, -1])
-    state = replace(
-        state,
-        landmarks=landmarks.joined(moved),
-        covariance=np.block([[P, cross.T], [cross, 0.5 * (own + own.T)]]),
-    )
-    real = np.abs(lower[0]).max(axis=1) > 0.0
-    rest = lower[0][real]
-    return ekf_update(
-        state, rest[:, size:-1], np.arange(start, stop), rest[:, -1], np.ones(len(rest))
-    )
+    B = rows.H.copy()
+    _add_anchor(B, rows.R @ point.by_anchor, point.anchor, len(state.calibration))
+    by_value, size = rows.R @ point.by_value, new.size
+    estimated = np.concatenate([by_value[..., 3 - size :], B], axis=2)
+    n_rows = np.full(len(new), 3)
+    H, residual, _ = _without(by_value[..., : 3 - size], estimated, rows.residual, n_rows)
+    return H[..., :size], H[..., size:], residual
 
 
 def _written(

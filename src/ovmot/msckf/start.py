@@ -250,6 +250,5 @@ def _table_of(frames: Sequence[FrontendFrame], clone_ns: IntArray, left: IntArra
     for frame in frames:
         if frame.timestamp_ns in clone_ns:
             table = append_frame(table, frame)
-    seen = np.isfinite(table.pixels[..., 0])
-    spent = (seen.sum(axis=0) > 1) & ~np.isin(table.feature_id, left)
-    return mark_used(table, seen & spent)
+    spent = (table.seen.sum(axis=0) > 1) & ~np.isin(table.feature_id, left)
+    return mark_used(table, table.seen & spent)

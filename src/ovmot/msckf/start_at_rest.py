@@ -11,7 +11,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
 from ovmot.msckf.start_bodies import PIXEL_SIGMA, plane_sigma, space_filled
 from ovmot.msckf.state import ImuState
-from ovmot.types import FrontendFrame, ImuData
+from ovmot.types import FrontendFrame, ImuData, followed_pixels
 
 _MIN_POINTS = 8
 _ROTATION_SIGMA = 0.01  # rad over the window, of a rig whose gyroscope is quiet
@@ -47,9 +47,10 @@ def imu_restless(imu: ImuData, settings: InitializationSettings) -> str | None:
 def standing_points(
     first: FrontendFrame, last: FrontendFrame, rig: StereoRig, pixel: float
 ) -> StandingPoints:
-    """The features that moved less than `pixel` in the left image from one frame to another."""
+    """The features that moved less than `pixel` in their image from one frame to another."""
     _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
-    still = np.linalg.norm(last.pixels[b, :2] - first.pixels[a, :2], axis=1) < pixel
+    moved = followed_pixels(last.pixels[b]) - followed_pixels(first.pixels[a])
+    still = np.linalg.norm(moved, axis=1) < pixel
     if len(a) < _MIN_POINTS:
         return StandingPoints(last.feature_id[b[still]], 0.0, 0, 0)
     before, now = first.normalized[a], last.normalized[b]

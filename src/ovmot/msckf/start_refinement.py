@@ -182,6 +182,6 @@ def window_pixels(
     for k, frame in enumerate(frames):
         _, a, b = np.intersect1d(feature_id, frame.feature_id, return_indices=True)
         out[a, k] = frame.pixels[b]
-    views = np.isfinite(out[..., 0]).sum(axis=1)
+    views = np.isfinite(out[..., ::2]).any(axis=-1).sum(axis=1)
     longest = np.argsort(-views, kind="stable")[:max_features]
     return np.asarray(out[longest[views[longest] > 1]])

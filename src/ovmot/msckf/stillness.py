@@ -11,6 +11,7 @@ from ovmot.config import ZeroVelocitySettings
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
 from ovmot.tracks import TrackTable
+from ovmot.types import followed_pixels
 
 _MIN_POINTS = 8
 _MAX_POINTS = 60
@@ -22,7 +23,7 @@ _MIN_MOTION_M = 0.01  # less is a body rocking on its springs
 def still_share(
     pixels: FloatArray, earlier: FloatArray, candidates: BoolArray, pixel: float
 ) -> float:
-    """Share of candidate points whose left image position moved less than `pixel`.
+    """Share of candidate points whose image position moved less than `pixel`.
 
     `pixels`, `earlier` (N, 2), NaN where unseen; 0 with fewer than 8 points to look at.
     """
@@ -46,9 +47,8 @@ def picture_is_still(table: TrackTable, rig: StereoRig, settings: ZeroVelocitySe
     if age[row] < 0.5 * settings.look_back_s:
         return False
     candidates = ~table.suspect & ~table.barred
-    share = still_share(
-        table.pixels[-1, :, :2], table.pixels[row, :, :2], candidates, settings.pixel
-    )
+    now, then = followed_pixels(table.pixels[-1]), followed_pixels(table.pixels[row])
+    share = still_share(now, then, candidates, settings.pixel)
     if share < settings.still_share:
         return False
     return not _has_moved(table.normalized[row, candidates], table.normalized[-1, candidates], rig)

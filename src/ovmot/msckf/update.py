@@ -4,7 +4,8 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, qr, solve_triangular
+from scipy.linalg import qr, solve_triangular
+from scipy.linalg.lapack import dpstrf
 from scipy.special import chdtri
 
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -17,15 +18,14 @@ def ekf_update(
     """Correct the state by residual = H δ[columns] + n, n ~ N(0, diag(variance)).
 
     `H` (m, k), `columns` (k,): which error coordinates H multiplies, `residual` (m,), `variance`
-    (m,). With S = L Lᵀ and W = P Hᵀ L⁻ᵀ the covariance becomes P - W Wᵀ, which stays symmetric, at
-    the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4).
+    (m,). With L of `innovation_factor` and W = L⁻¹ H P the covariance becomes P - Wᵀ W, which stays
+    symmetric, at the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4).
     """
     if len(residual) == 0:
         return state
     P = state.covariance
-    PHt = P[:, columns] @ H.T
-    L = cholesky(H @ PHt[columns] + np.diag(variance), lower=True)
-    W = solve_triangular(L, PHt.T, lower=True)
+    L = innovation_factor(P[np.ix_(columns, columns)], H, variance)
+    W = solve_triangular(L, H @ P[columns], lower=True)
     moved = box_plus(state, W.T @ solve_triangular(L, residual, lower=True))
     updated = P - W.T @ W
     return replace(moved, covariance=0.5 * (updated + updated.T))
@@ -35,8 +35,26 @@ def innovation_distance(
     state: State, H: FloatArray, columns: IntArray, residual: FloatArray, variance: FloatArray
 ) -> float:
     """Squared Mahalanobis distance of a residual under the state's covariance; see ekf_update."""
-    S = H @ state.covariance[np.ix_(columns, columns)] @ H.T + np.diag(variance)
-    return float(residual @ cho_solve(cho_factor(S, lower=True), residual))
+    L = innovation_factor(state.covariance[np.ix_(columns, columns)], H, variance)
+    innovation = solve_triangular(L, residual, lower=True)
+    return float(innovation @ innovation)
+
+
+def innovation_factor(P: FloatArray, H: FloatArray, variance: FloatArray) -> FloatArray:
+    """Triangular L (m, m) with L Lᵀ = H P Hᵀ + diag(variance); `P` (k, k), `H` (m, k).
+
+    By QR of its square root: with P = F Fᵀ, Lᵀ is the R of [(H F)ᵀ; diag(sigma)] (P. Kaminski
+    et al., TAC 1971). Where large rows of H swallow the noise, the rounded sum has no factor. P
+    may be singular, as a new clone makes it: its own factor is pivoted, and of P's rank.
+    """
+    sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
+    scale = np.where(sigma > 0.0, sigma, 1.0)  # units are far apart: rank is that of correlations
+    C, pivots, rank, _ = dpstrf(P / np.outer(scale, scale), lower=1)
+    HF = (H * scale)[:, pivots - 1] @ np.tril(C)[:, :rank]
+    stacked = np.concatenate([HF.T, np.diag(np.sqrt(variance))])
+    R = qr(stacked, mode="r", overwrite_a=True)[0]
+    L: FloatArray = R[: len(variance)].T
+    return L
 
 
 def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -57,6 +57,15 @@ class StereoHistory:
     span_s: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class Slide:
+    """How far a followed patch slides, standard deviation: `px` pixels, and `per_flow` of its way
+    through the image."""
+
+    px: float
+    per_flow: float
+
+
 def plane_sigma(rig: StereoRig, sigma_px: float) -> FloatArray:
     """Standard deviations (4,) of a stereo pair's plane coordinates."""
     f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
@@ -68,13 +77,12 @@ def compare(
     window: PoseWindow,
     rig: StereoRig,
     sigma_px: float,
-    drift_per_flow: float,
+    slide: Slide,
 ) -> Comparison:
     """Carry the earlier points into the present camera and compare, with covariances.
 
-    C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now, which
-    holds a part that grows with the way the point went through the image (`drift_per_flow` times
-    it): a followed patch slides as its view changes, and lens models are not exact.
+    C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now + what
+    a followed patch slides as its view changes.
     """
     sigma = plane_sigma(rig, sigma_px)
     T_c1_c0 = rig.T_cam1_cam0
@@ -91,8 +99,8 @@ def compare(
 
     seen, J = project_stereo(predicted, T_c1_c0)
     flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
-    drift = (drift_per_flow * flow)[..., None, None] ** 2 * np.eye(4)
-    noise = np.diag(sigma**2) + drift
+    variance = (slide.px / rig.cam0.fx) ** 2 + (slide.per_flow * flow) ** 2
+    noise = np.diag(sigma**2) + variance[..., None, None] * np.eye(4)
     S = J @ C @ np.swapaxes(J, -1, -2) + noise
     p_now = triangulate_stereo(history.now, T_c1_c0)
     _, J_now = project_stereo(p_now, T_c1_c0)

@@ -13,7 +13,7 @@ from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
+from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import fit_velocity
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
@@ -33,14 +33,16 @@ _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that 
 class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
-    `feature_id` (M,), `hops` (L,): frames since. `history` holds the plane coordinates,
-    `comparison` where the ego motion alone would put the points, `p_cam0` (M, 3) and `cov_cam0`
-    (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero
-    where untested; `information` (L, M, 3, 3): what it tells of the way since. `velocity` (M, 3)
-    and `velocity_cov` (M, 3, 3): over all rows, in the camera's axes; `up` (3,): the world's z.
+    `feature_id` (M,), `owner` (M,): the track that has it, -1 for none; `hops` (L,): frames since.
+    `history` holds the plane coordinates, `comparison` where the ego motion alone would put the
+    points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M, 4, 4): inverse
+    of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3): what it tells of
+    the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows, in the camera's
+    axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray
+    owner: IntArray
     hops: IntArray
     history: StereoHistory
     comparison: Comparison
@@ -79,7 +81,13 @@ def motion_history(
         longest = np.argsort(-known, kind="stable")[: settings.max_points]
         candidate = np.sort(candidate[longest])
     history = replace(history, then=history.then[:, candidate], now=history.now[candidate])
-    comparison = compare(history, window, rig, settings.pixel_sigma, settings.slide_per_flow)
+    comparison = compare(
+        history,
+        window,
+        rig,
+        settings.pixel_sigma,
+        Slide(settings.slide_per_hop_px, settings.slide_per_flow),
+    )
     W = np.asarray(np.linalg.inv(_with_acceleration(comparison)), np.float64)
     velocity, covariance, cost = fit_velocity(comparison, W)
     steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * comparison.tested.sum(0) - 3, 1), 0.001)
@@ -92,6 +100,7 @@ def motion_history(
     weight, information = _weights(comparison)
     return MotionHistory(
         feature_id=points.feature_id[candidate[kept]],
+        owner=points.track_id[candidate[kept]],
         hops=len(table.frame_ns) - 1 - rows,
         history=replace(history, then=history.then[:, kept], now=history.now[kept]),
         comparison=comparison,
@@ -186,11 +195,12 @@ def _rows(table: TrackTable, window: PoseWindow, look_back_s: tuple[float, ...])
 def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:
     """Indices of the points of each connected component of like movers, largest first.
 
-    Components that move alike, touch, and together are no wider than a body are one.
+    Components that move alike, touch, and together are no wider than a body are one. Points of
+    different tracks are not: walkers side by side stay two.
     """
     scaled = _stretched(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
     pairs = _near_pairs(scaled, settings.neighbour_radius_m)
-    pairs = pairs[_same_velocity(points, pairs)]
+    pairs = pairs[_same_velocity(points, pairs) & _may_be_linked(points.owner[pairs])]
     n = len(points.feature_id)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, component = connected_components(graph, directed=False)
@@ -215,6 +225,8 @@ def _are_one(
     settings: ObjectSettings,
 ) -> bool:
     """Do two groups touch, move alike, and together measure no more across than a body?"""
+    if not may_be_one(main_owner(points.owner[whole]), main_owner(points.owner[piece])):
+        return False
     apart = np.linalg.norm(scaled[whole][:, None] - scaled[piece][None], axis=-1).min()
     if apart > settings.neighbour_radius_m:
         return False
@@ -232,6 +244,23 @@ def _are_one(
     along = points.p_cam0[both] @ across
     sigma = np.sqrt(np.median((points.cov_cam0[both] @ across) @ across))
     return bool(np.ptp(along) - 2.0 * sigma < settings.body_width_m)
+
+
+def _may_be_linked(owners: IntArray) -> BoolArray:
+    """Which pairs of owners (P, 2) are not two different tracks."""
+    one: BoolArray = (owners[:, 0] == owners[:, 1]) | (owners < 0).any(axis=1)
+    return one
+
+
+def may_be_one(owner: int, other: int) -> bool:
+    """Are these owners of groups not two different tracks?"""
+    return owner == other or min(owner, other) < 0
+
+
+def main_owner(owner: IntArray) -> int:
+    """The track that has most of the owned points (n,); -1 where none is owned."""
+    owned = owner[owner >= 0]
+    return int(np.bincount(owned).argmax()) if len(owned) else -1
 
 
 def _stretched(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> FloatArray:

@@ -8,7 +8,13 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectSettings
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.grouping import MotionHistory, group_points, motion_history
+from ovmot.objects.grouping import (
+    MotionHistory,
+    group_points,
+    main_owner,
+    may_be_one,
+    motion_history,
+)
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
 from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion
@@ -49,6 +55,15 @@ class ObjectMeasurement:
     size: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """A measurement, the group it comes from, and the track that has most of its points, or -1."""
+
+    group: int
+    owner: int
+    measured: ObjectMeasurement
+
+
 def measure_objects(
     table: TrackTable,
     points: ScenePoints,
@@ -81,7 +96,7 @@ def measure_objects(
     # 5 what is left of each: enough points, moving, and not a part of another
     T_world_cam0 = views.T_world_cam0[-1, 0]
     is_static = STATIC_TESTS[settings.static_test]
-    bodies: list[tuple[int, ObjectMeasurement]] = []
+    bodies: list[_Body] = []
     for k in range(len(found)):
         own = np.flatnonzero((views.body == k) & refined.inlier)
         if len(own) < settings.min_points:
@@ -92,7 +107,8 @@ def measure_objects(
         body = _with_ego_covariance(body, window, then)
         fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
         if fast and not is_static(_as_found(body, T_world_cam0), rig, settings):
-            bodies.append((int(group_of[k]), body))
+            owner = main_owner(history.owner[index[own]])
+            bodies.append(_Body(int(group_of[k]), owner, body))
     return _without_parts(bodies, settings)
 
 
@@ -245,21 +261,23 @@ def _as_found(body: ObjectMeasurement, T_world_cam0: FloatArray) -> FoundMotion:
     )
 
 
-def _without_parts(
-    bodies: list[tuple[int, ObjectMeasurement]], settings: ObjectSettings
-) -> tuple[ObjectMeasurement, ...]:
-    """Those, of (group, body), that are no part of a larger one.
+def _without_parts(bodies: list[_Body], settings: ObjectSettings) -> tuple[ObjectMeasurement, ...]:
+    """Those bodies that are no part of a larger one.
 
-    Parts lie at the larger body and move like it, and come from the same group or have few points.
+    Parts lie at the larger body and move like it, are not another track's, and come from the same
+    group or have few points.
     """
-    kept: list[tuple[int, ObjectMeasurement]] = []
-    for group, body in sorted(bodies, key=lambda b: len(b[1].feature_id), reverse=True):
-        few = len(body.feature_id) <= _FEW
+    kept: list[_Body] = []
+    for body in sorted(bodies, key=lambda b: len(b.measured.feature_id), reverse=True):
+        few = len(body.measured.feature_id) <= _FEW
         if not any(
-            (few or group == other) and _is_part(body, larger, settings) for other, larger in kept
+            (few or body.group == larger.group)
+            and may_be_one(body.owner, larger.owner)
+            and _is_part(body.measured, larger.measured, settings)
+            for larger in kept
         ):
-            kept.append((group, body))
-    return tuple(body for _, body in kept)
+            kept.append(body)
+    return tuple(body.measured for body in kept)
 
 
 def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings) -> bool:

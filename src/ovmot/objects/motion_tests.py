@@ -19,6 +19,7 @@ _FORGIVEN_ACCEL = 3.0  # m/s²: what a road user's motion may depart from consta
 _FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 _WEAK_PROBABILITY = 0.99  # of rest, for a point whose neighbours are seen to move
 _MIN_NEIGHBOURS = 1  # that a moving point must have
+_MIN_FRESH_NEIGHBOURS = 2  # of a point that was seen but once before
 _MIN_STRONG_NEIGHBOURS = 2  # that make a weak case a moving point
 
 
@@ -65,8 +66,9 @@ def covariance_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
 
     A point moves when rest is out of the question, a single velocity explains all its earlier
     positions, and a neighbour moves likewise; or when rest is unlikely and two neighbours surely
-    move likewise. Where rest is out of the question without that, a wrong match is as likely as a
-    motion: unclear.
+    move likewise. One earlier position is explained by any velocity: it must tell as much as two,
+    and two neighbours must share it. Where rest is out of the question without that, a wrong match
+    is as likely as a motion: unclear.
     """
     rest = examine_rest(evidence.comparison, settings)
     tested = rest.rows > 0
@@ -74,12 +76,15 @@ def covariance_test(evidence: Evidence, settings: SplitSettings) -> Verdict:
     unlikely = tested & (rest.distance > chdtri(4, 1.0 - _WEAK_PROBABILITY))
     steady = rest.explained & (rest.rows >= 2)
     strong, weak = impossible & steady, unlikely & steady
+    certain = rest.distance > chdtri(4, settings.false_alarm**2)
+    fresh = certain & rest.explained & (rest.rows == 1)
     alike = neighbours_with_same_velocity(
-        evidence.p_cam0, evidence.cov_cam0, rest.velocity, rest.covariance, weak
+        evidence.p_cam0, evidence.cov_cam0, rest.velocity, rest.covariance, weak | fresh
     )
     supported = alike.sum(1) >= _MIN_NEIGHBOURS
     carried = (alike & strong[None, :]).sum(1) >= _MIN_STRONG_NEIGHBOURS
-    moving = (strong & supported) | (weak & carried)
+    company = (alike & (strong | fresh)[None, :]).sum(1) >= _MIN_FRESH_NEIGHBOURS
+    moving = (strong & supported) | (weak & carried) | (fresh & company)
     return Verdict(tested, moving, impossible & ~moving)
 
 

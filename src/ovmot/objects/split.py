@@ -12,25 +12,26 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import SplitSettings
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
-from ovmot.objects.comparison import Comparison, StereoHistory, compare, plane_sigma
+from ovmot.objects.comparison import Comparison, Slide, StereoHistory, compare, plane_sigma
 from ovmot.objects.motion_tests import MOTION_TESTS, Evidence, Verdict
 from ovmot.tracks import TrackTable
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
 
-_MAX_MOVING_SHARE = 0.7
+_TRUSTED_SPEED_MPS = 0.5  # half of what a walker does
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
     """The points of a frame, and which of them (N,) an update should not touch for now.
 
-    `plausible` is False where most of what was tested seems to move: then the prediction is as
-    likely to be wrong as the world is to move, and no point should be written off for good.
+    `trusted` is False where the prediction itself is unsure of the rig's motion since the last
+    frame: then no point should be written off for good. How many points move says nothing about
+    that: before a lorry that fills the view, most of them do.
     """
 
     points: ScenePoints
     suspect: BoolArray
-    plausible: bool
+    trusted: bool
 
 
 def split_points(
@@ -45,12 +46,12 @@ def split_points(
     `table` holds that frame as its last row, `window` the predicted poses of its clones. Judged are
     features in stereo now and earlier, near enough both times; the others are unknown.
     """
-    points = _unjudged(seen, rig, settings)
+    points, trusted = _unjudged(seen, rig, settings), prediction_is_sure(window)
     rows = _look_back_rows(table, window, settings.look_back_s)
     with np.errstate(invalid="ignore"):
         near = np.flatnonzero(points.p_cam0[:, 2] < settings.max_range_m)
     if not settings.enabled or len(rows) == 0 or len(near) == 0:
-        return Split(points, ~seen.two_view_inlier, plausible=True)
+        return Split(points, ~seen.two_view_inlier, trusted)
     column = _columns_of(table, seen.feature_id[near])
     history = StereoHistory(
         then=table.normalized[rows][:, column],
@@ -58,7 +59,13 @@ def split_points(
         clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
         span_s=np.asarray((seen.timestamp_ns - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
     )
-    comparison = compare(history, window, rig, settings.pixel_sigma, settings.drift_per_flow)
+    comparison = compare(
+        history,
+        window,
+        rig,
+        settings.pixel_sigma,
+        Slide(0.0, settings.drift_per_flow),
+    )
     comparison = _within_range(comparison, settings.max_range_m)
     p_cam0, cov_cam0 = points.p_cam0[near], points.cov_cam0[near]
     distance, reprojection = last_interval(comparison, p_cam0, history.now, rig, settings)
@@ -76,8 +83,19 @@ def split_points(
     )
     off = verdict.moving | verdict.unclear
     suspect = _put(~seen.two_view_inlier, near[verdict.tested], off[verdict.tested])
-    mostly_moving = off.sum() > _MAX_MOVING_SHARE * verdict.tested.sum()
-    return Split(points, suspect, plausible=not mostly_moving)
+    return Split(points, suspect, trusted)
+
+
+def prediction_is_sure(window: PoseWindow) -> bool:
+    """Is the motion between the two newest poses surer than what is to be told from it?"""
+    if len(window.timestamp_ns) < 2:
+        return False
+    span_s = 1e-9 * float(window.timestamp_ns[-1] - window.timestamp_ns[-2])
+    before, now = slice(-9, -6), slice(-3, None)  # positions of the two newest poses
+    P = window.covariance
+    relative = P[now, now] + P[before, before] - P[now, before] - P[before, now]
+    sigma_m = np.sqrt(max(float(np.linalg.eigvalsh(relative)[-1]), 0.0))
+    return bool(sigma_m < _TRUSTED_SPEED_MPS * span_s)
 
 
 def _labels(verdict: Verdict) -> IntArray:

@@ -21,9 +21,13 @@ from ovmot.objects.object_filter import (
 
 _SLIDE = 0.25  # of the size: how far the middle of what is seen lies off the body's middle
 _LEAST_SLIDE_M = 0.2
+_VEHICLE_M = 4.5  # length
+DRIVES_MPS = 3.0
+"""Faster than who walks."""
 _MOVING_MPS = 0.5  # slower, the velocity has no direction
-_MANY_FEATURES = 8  # that move together are no chance: two measurements are enough
+_MANY_FEATURES = 5  # that move together are no chance: two measurements are enough
 _GROWTH = 0.5  # share of the way to a greater size that a measurement makes
+_SHRINK = 0.97  # of the size, where a measurement shows less
 _BIGGEST = np.array([20.0, 4.0, 5.0])
 
 
@@ -120,10 +124,19 @@ def carried(track: Track, now_ns: int, settings: ObjectTrackSettings) -> Track:
 
 
 def gap(track: Track, measurement: ObjectMeasurement, now_ns: int) -> float:
-    """Squared distance (6 degrees of freedom) between a predicted track and a measurement."""
+    """Squared distance (6 degrees of freedom) between a predicted track and a measurement.
+
+    What drives is longer than what may have been seen of it: after an occlusion its other end may
+    come into view.
+    """
     dt = 1e-9 * (now_ns - track.measured_ns)
     size = np.maximum(track.size, measurement.size)
     observation = as_observation(measurement, size, dt)
+    speed = float(np.hypot(track.velocity[0], track.velocity[1]))
+    if speed > DRIVES_MPS:
+        heading = track.velocity / speed
+        hidden = np.maximum(_VEHICLE_M - float(size[0]), 0.0) * _SLIDE
+        observation.covariance[:3, :3] += hidden**2 * np.outer(heading, heading)
     six = Observation(observation.H[:6], observation.value[:6], observation.covariance[:6, :6])
     return distance(track.filter, six)
 
@@ -133,7 +146,7 @@ def measured(
 ) -> Track:
     """The track corrected by its measurement."""
     dt = 1e-9 * (now_ns - track.measured_ns)
-    size = np.maximum(track.size, track.size + _GROWTH * (measurement.size - track.size))
+    size = np.maximum(_SHRINK * track.size, track.size + _GROWTH * (measurement.size - track.size))
     body = update(track.filter, as_observation(measurement, size, dt))
     hits = track.hits + 1
     evidence = track.evidence + min(dt, settings.confirm_s)

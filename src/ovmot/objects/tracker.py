@@ -8,18 +8,23 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectTrackSettings
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.association import associate, shared_share
-from ovmot.objects.followed import FollowedBody, Sightings
+from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body_of, follow, join
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import YAW_RATE
+from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
-from ovmot.objects.track import Track, TrackState, carried, gap, measured, start_track
-from ovmot.types import ObjectTrack, ScenePoints
+from ovmot.objects.region import inside
+from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gap, measured, start_track
+from ovmot.types import ObjectTrack, PointLabel, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
 _SAME_SPEED_MPS = 1.5
+_MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
+_LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
+_WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
+_MOVING_MPS = 1.0  # a track's speed from which its points are said to move
 
 
 class ObjectTracker:
@@ -38,43 +43,75 @@ class ObjectTracker:
         measurements: Sequence[ObjectMeasurement],
         seen: ScenePoints,
         T_world_cam0: FloatArray,
-    ) -> tuple[tuple[ObjectTrack, ...], IntArray]:
-        """The tracks of this frame, and the track id (N,) of each of its features, -1 for none."""
+    ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
+        """The tracks of this frame, and its points with their tracks' ids.
+
+        A point that nothing else was known of moves where its track does.
+        """
         settings = self._settings
-        self._sightings.add(timestamp_ns, seen, T_world_cam0)
+        motions = self._sightings.add(timestamp_ns, seen, T_world_cam0)
         # 1 where every track should be now
         tracks = [carried(track, timestamp_ns, settings) for track in self._tracks]
         # 2 which measurement is whose
         pairs = _pairs(tracks, measurements, timestamp_ns)
         taken = {j for _, j in pairs}
         own = dict(pairs)
-        # 3 correct: by the measurement, else by the features that are still followed
+        # 3 correct: by the measurement, else by the features that go as the track should
+        owner = _owner(tracks, seen.feature_id)
         for i, track in enumerate(tracks):
             tracks[i] = (
                 measured(track, measurements[own[i]], timestamp_ns, settings)
                 if i in own
-                else self._followed(track, timestamp_ns)
+                else _followed(track, motions, owner, timestamp_ns)
             )
         # 4 new ones
         for j, measurement in enumerate(measurements):
             if j not in taken:
                 tracks.append(start_track(self._next_id, timestamp_ns, measurement))
                 self._next_id += 1
-        # 5 two tracks on one body, and those that are gone
+        # 5 features that joined, two tracks on one body, and those that are gone
         alive = [track for track in tracks if _lives(track, timestamp_ns, settings)]
+        owner = _owner(alive, seen.feature_id)
+        alive = [_joined(track, motions, owner) for track in alive]
         self._tracks = _merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
-        shown = tuple(_as_result(t, seen, owner, T_world_cam0, self._rig) for t in self._tracks)
-        return shown, owner
+        shown = tuple(
+            _as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
+            for t in self._tracks
+        )
+        return shown, _labelled(seen, owner, self._tracks)
 
-    def _followed(self, track: Track, now_ns: int) -> Track:
-        """The track by its features, without a measurement; coasting where they are lost."""
-        body = self._sightings.follow(track.feature_id, track.velocity)
-        if body is None or track.state == TrackState.TENTATIVE:
-            return _unseen(track)
+    def owned(self, seen: ScenePoints) -> ScenePoints:
+        """The points of a new frame with the tracks that their features had until now.
+
+        Only tracks that are sure of their body: a piece of one shall find its whole again.
+        """
+        sure = [t for t in self._tracks if t.state == TrackState.CONFIRMED and t.overlaps == 0]
+        return replace(seen, track_id=_owner(sure, seen.feature_id))
+
+    def expected(self, seen: ScenePoints) -> tuple[IntArray, FloatArray]:
+        """Features of this frame (N,) that should go on with a track, and its velocity (N, 3)."""
+        velocity = np.full((len(seen.feature_id), 3), np.nan)
+        motions = self._sightings.last
+        for track in self._tracks:
+            near = np.isin(motions.feature_id, track.feature_id)
+            near |= inside(track, motions.p_world, motions.position_cov) & ~motions.known
+            velocity[near] = track.velocity
+        known = np.isfinite(velocity[:, 0])
+        return seen.feature_id[known], velocity[known]
+
+
+def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: int) -> Track:
+    """The track by its features, without a measurement; coasting where they are lost."""
+    if track.state == TrackState.TENTATIVE:
+        return _unseen(track)
+    own = np.isin(motions.feature_id, track.feature_id)
+    for body in (follow(motions, own, track.velocity), _found_again(track, motions, owner)):
+        if body is None:
+            continue
         observation = observe(body.position - track.offset, body.velocity, _loose(body, track))
         if distance(track.filter, observation) > _FOLLOWED_GATE:
-            return _unseen(track)
+            continue
         corrected = update(track.filter, observation)
         return replace(
             track,
@@ -84,6 +121,36 @@ class ObjectTracker:
             feature_id=np.setdiff1d(track.feature_id, body.strayed),
             updated_ns=now_ns,
         )
+    return _unseen(track)
+
+
+def _found_again(track: Track, motions: FeatureMotions, owner: IntArray) -> FollowedBody | None:
+    """The body by any features where it should be that go as it should; None with less than two."""
+    joins = _joining(track, motions, owner)
+    return body_of(motions, joins) if joins.sum() >= _MIN_FOUND else None
+
+
+def _joined(track: Track, motions: FeatureMotions, owner: IntArray) -> Track:
+    """The track with the features in its box that go as it goes, and without those far off it."""
+    if track.state == TrackState.COASTING:
+        return track
+    ids = track.feature_id
+    if track.state == TrackState.CONFIRMED:
+        ids = np.union1d(ids, motions.feature_id[_joining(track, motions, owner)])
+    off = ~inside(track, motions.p_world, motions.position_cov)
+    return replace(track, feature_id=np.setdiff1d(ids, motions.feature_id[off & _placed(motions)]))
+
+
+def _placed(motions: FeatureMotions) -> BoolArray:
+    """Which features (N,) have a position."""
+    return np.asarray(np.isfinite(motions.p_world[:, 0]))
+
+
+def _joining(track: Track, motions: FeatureMotions, owner: IntArray) -> BoolArray:
+    """Features (N,) in a track's box that go as it goes, do not rest and are no other track's."""
+    near = inside(track, motions.p_world, motions.position_cov)
+    near &= (owner < 0) | (owner == track.track_id)
+    return join(motions, near, track.velocity, track.filter.best.covariance[VELOCITY, VELOCITY])
 
 
 def _unseen(track: Track) -> Track:
@@ -133,25 +200,51 @@ def _with_own_features(tracks: Sequence[Track], seen: ScenePoints) -> list[Track
 
 
 def _merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Track, ...]:
-    """Without tracks that have lain on an older one, going as it goes, for some frames."""
+    """Tracks that have lain on an older one for some frames become one with it.
+
+    The older one's id stays, with what the one of more features knows. Until then a new one that
+    lies on an older one is not believed.
+    """
     out: list[Track] = []
     for track in tracks:
-        over = next((other for other in out if _same_body(track, other)), None)
+        over = next((k for k, other in enumerate(out) if _same_body(track, other)), None)
         if over is None:
             out.append(replace(track, overlaps=0))
         elif track.overlaps + 1 < settings.merge_frames:
-            out.append(replace(track, overlaps=track.overlaps + 1))
+            young = track.hits <= settings.confirm_hits + settings.merge_frames
+            state = TrackState.TENTATIVE if young else track.state
+            out.append(replace(track, state=state, overlaps=track.overlaps + 1))
+        elif len(track.feature_id) > len(out[over].feature_id):
+            out[over] = replace(track, track_id=out[over].track_id, overlaps=0)
     return tuple(out)
 
 
 def _same_body(track: Track, other: Track) -> bool:
-    """Do their boxes overlap, and do they move alike?"""
+    """Is one in the other, where no second body can be, or do they overlap and move alike?"""
+    if TrackState.COASTING not in (track.state, other.state) and (
+        _is_within(track, other) or _is_within(other, track)
+    ):
+        return True
+    along, across = _apart(track, other)
+    reach = 0.5 * (other.size + np.minimum(track.size, other.size))
+    near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
+    drive = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
+    near |= drive and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
+    return bool(near and np.linalg.norm(track.velocity - other.velocity) < _SAME_SPEED_MPS)
+
+
+def _is_within(track: Track, other: Track) -> bool:
+    """Is a track's middle inside the box of another one with more features?"""
+    along, across = _apart(track, other)
+    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], _WIDTH_M)
+    return bool(inner and len(track.feature_id) < len(other.feature_id))
+
+
+def _apart(track: Track, other: Track) -> tuple[float, float]:
+    """Distances of the middles, along and across the other's heading, metres."""
     apart = track.position - other.position
     c, s = np.cos(other.yaw), np.sin(other.yaw)
-    along, across = c * apart[0] + s * apart[1], -s * apart[0] + c * apart[1]
-    reach = 0.5 * (other.size + np.minimum(track.size, other.size))
-    near = abs(along) < max(reach[0], 1.0) and abs(across) < max(0.7 * reach[1], 0.7)
-    return bool(near and np.linalg.norm(track.velocity - other.velocity) < _SAME_SPEED_MPS)
+    return abs(c * apart[0] + s * apart[1]), abs(-s * apart[0] + c * apart[1])
 
 
 def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
@@ -162,15 +255,33 @@ def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
     return owner
 
 
+def _labelled(seen: ScenePoints, owner: IntArray, tracks: Sequence[Track]) -> ScenePoints:
+    """The points with their tracks; unknown ones of moving confirmed tracks are dynamic."""
+    moving = [
+        track.track_id
+        for track in tracks
+        if track.state == TrackState.CONFIRMED and np.linalg.norm(track.velocity) > _MOVING_MPS
+    ]
+    joins = (seen.label == int(PointLabel.UNKNOWN)) & np.isin(owner, moving)
+    label = np.where(joins, int(PointLabel.DYNAMIC), seen.label)
+    return replace(seen, track_id=owner, label=label)
+
+
 def _as_result(
-    track: Track, seen: ScenePoints, owner: IntArray, T_world_cam0: FloatArray, rig: StereoRig
+    track: Track,
+    now_ns: int,
+    seen: ScenePoints,
+    owner: IntArray,
+    T_world_cam0: FloatArray,
+    rig: StereoRig,
+    settings: ObjectTrackSettings,
 ) -> ObjectTrack:
     best = track.filter.best
     sigma = np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
     own = owner == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
-        state=track.state.value,
+        state=_shown_state(track, now_ns, settings).value,
         position=track.position,
         velocity=track.velocity,
         yaw=track.yaw,
@@ -181,6 +292,14 @@ def _as_result(
         std_position=sigma[:3],
         std_velocity=sigma[3:6],
     )
+
+
+def _shown_state(track: Track, now_ns: int, settings: ObjectTrackSettings) -> TrackState:
+    """A confirmed track that was missed for a frame or two is not yet called coasting."""
+    missed_s = 1e-9 * (now_ns - track.updated_ns)
+    if track.state == TrackState.COASTING and missed_s <= settings.missed_s:
+        return TrackState.CONFIRMED
+    return track.state
 
 
 def _box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:

@@ -23,11 +23,25 @@ PINK: Color = (203, 105, 255)
 GREY: Color = (185, 185, 185)
 BLACK: Color = (0, 0, 0)
 DARK: Color = (70, 70, 70)
+_OF_TRACKS: tuple[Color, ...] = (
+    (0, 230, 255), (255, 230, 0), (0, 150, 255), (255, 130, 120), (90, 255, 170), (220, 120, 255),
+)  # fmt: skip
 
 _DIM = 0.55  # share of the image's brightness that is kept, so that colours stand out
 _FAR_PX = 5000.0
 _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_PLAIN, 0.8
 _SUBPIXEL_BITS = 3
+
+
+def color_of(track_id: int) -> Color:
+    """The colour of a track, the same as long as it lives."""
+    return _OF_TRACKS[track_id % len(_OF_TRACKS)]
+
+
+def dimmed(color: Color) -> Color:
+    """The same colour, half as bright."""
+    blue, green, red = (c // 2 for c in color)
+    return blue, green, red
 
 
 def backdrop(image: Image, scale: float) -> Image:
@@ -77,6 +91,29 @@ def texts(
         place = (int(left), int(v) - 4)
         cv2.putText(picture, word, place, _FONT, _FONT_SCALE, BLACK, 2)  # a dark rim, to be legible
         cv2.putText(picture, word, place, _FONT, _FONT_SCALE, color, 1)
+
+
+def rectangle(picture: Image, box: FloatArray, color: Color, scale: float = 1.0) -> None:
+    """The outline of a box (4,): left, top, right, bottom."""
+    corners = box[[[0, 1], [2, 1], [2, 3], [0, 3], [0, 1]]]
+    curves(picture, corners[None], color, scale)
+
+
+def label(picture: Image, corner: FloatArray, word: str, color: Color, scale: float = 1.0) -> None:
+    """A word in black on a plate of a colour, whose lower left corner is at a pixel (2,).
+
+    It is moved as far as the picture needs it; nothing where the pixel is not drawable.
+    """
+    if not drawable(corner):
+        return
+    u, v = np.rint(_enlarge(corner, scale)).astype(np.int64).tolist()
+    (width, height), rest = cv2.getTextSize(word, _FONT, 1.0, 1)
+    left = min(max(u, 0), picture.shape[1] - width - 4)
+    bottom = min(max(v, height + rest + 2), picture.shape[0])
+    top = bottom - height - rest - 2
+    cv2.rectangle(picture, (left, top), (left + width + 4, bottom), color, cv2.FILLED)
+    place = (left + 2, bottom - rest)
+    cv2.putText(picture, word, place, _FONT, 1.0, BLACK, 1, cv2.LINE_AA)
 
 
 def caption(picture: Image, words: Iterable[tuple[str, Color]]) -> None:

@@ -1,28 +1,20 @@
 """Picture of the split: which points the ego motion explains, and which move."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, Image
 from ovmot.outputs import drawing
-from ovmot.types import ObjectTrack, PointLabel, ScenePoints, StereoFrame
+from ovmot.types import PointLabel, ScenePoints, StereoFrame
 
 
-def draw_dynamic(
-    frame: StereoFrame,
-    points: ScenePoints,
-    scale: float = 1.0,
-    tracks: Sequence[ObjectTrack] = (),
-) -> Image:
-    """The left image with the split's verdict on every point and the confirmed tracks (BGR).
+def draw_dynamic(frame: StereoFrame, points: ScenePoints, scale: float = 1.0) -> Image:
+    """The left image with the split's verdict on every point (BGR).
 
     Dynamic points, and static ones that the two-view test had rejected, show the previous
     observation white, the current one red and the prediction pink, joined by thin lines; their
     3-D distance (m) and reprojection error (px) are written in green for the dynamic ones and in
-    red for the static ones. Other points are small dots: static grey, unknown dark. A track shows
-    the box of its points, its id and its speed.
-    Pixels are enlarged by `scale`.
+    red for the static ones. Other points are small dots: static grey, unknown dark. Pixels are
+    enlarged by `scale`.
     """
     picture = drawing.backdrop(frame.left, scale)
     now = points.pixels[:, :2]
@@ -37,7 +29,6 @@ def draw_dynamic(
         drawing.texts(picture, now[which], _measures(points, which), color, scale)
     for which in (rescued, dynamic):
         _draw_comparison(picture, points, which, scale)
-    _draw_tracks(picture, tracks, scale)
     drawing.caption(
         picture,
         [
@@ -50,17 +41,6 @@ def draw_dynamic(
         ],
     )  # fmt: skip
     return picture
-
-
-def _draw_tracks(picture: Image, tracks: Sequence[ObjectTrack], scale: float) -> None:
-    shown = [t for t in tracks if t.state == "confirmed" and np.isfinite(t.box_px).all()]
-    if not shown:
-        return
-    boxes = np.stack([track.box_px for track in shown])
-    corners = boxes[:, [0, 1, 2, 1, 2, 3, 0, 3, 0, 1]].reshape(len(boxes), 5, 2)
-    drawing.curves(picture, corners, drawing.GREEN, scale)
-    labels = [f"#{t.track_id}  {np.linalg.norm(t.velocity):.1f} m/s" for t in shown]
-    drawing.texts(picture, boxes[:, :2], labels, drawing.GREEN, scale)
 
 
 def _draw_comparison(picture: Image, points: ScenePoints, which: BoolArray, scale: float) -> None:

@@ -1,7 +1,7 @@
 """The folder of a run: which files it gets, and that they are all closed whatever happens."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InputError, OvmotError
+from ovmot.outputs.kitti_tracks import KittiTracks
 from ovmot.outputs.run_json import PARTIAL_RUN_JSON, RUN_JSON
 from ovmot.outputs.tables import (
     CalibrationTable,
@@ -39,10 +40,14 @@ class Output(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What outputs know of the run: the rig, and the names of the pipeline's stages if known."""
+    """What outputs know of the run.
+
+    The rig, the names of the pipeline's stages if known, and the number of each stamp's frame.
+    """
 
     rig: StereoRig
     stages: tuple[str, ...] = ()
+    frame_number: Mapping[int, int] = field(default_factory=dict)
 
 
 OutputFactory = Callable[[Path, RunContext], Output]
@@ -53,6 +58,9 @@ OUTPUTS: dict[str, OutputFactory] = {
     "covariance.csv": lambda path, _: CovarianceTable(path),
     "calibration.csv": lambda path, _: CalibrationTable(path),
     "tracks.csv": lambda path, _: TracksTable(path),
+    "objects_kitti.txt": lambda path, context: KittiTracks(
+        path, context.rig.cam0, context.frame_number
+    ),
     "timing.csv": lambda path, context: TimingTable(path, context.stages),
     "points.csv": lambda path, _: PointsTable(path),
     "stereo.csv": lambda path, _: StereoTable(path),
@@ -60,6 +68,7 @@ OUTPUTS: dict[str, OutputFactory] = {
 }
 
 _ALWAYS = ("trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv")
+_OBJECTS = ("objects_kitti.txt",)
 _CALIBRATION = ("calibration.csv",)
 _POINTS = ("points.csv", "stereo.csv")
 _VIDEO = ("overlay.mp4",)
@@ -70,7 +79,6 @@ _RUN_FILES = (
     *OUTPUTS,
     RUN_JSON,
     PARTIAL_RUN_JSON,
-    "objects_kitti.txt",
     "report.html",
     *EVALUATION_FILES,
 )
@@ -132,21 +140,25 @@ def open_outputs(
     force: bool = False,
     stages: Sequence[str] = (),
     calibration: bool = False,
+    frame_number: Mapping[int, int] | None = None,
 ) -> RunWriter:
     """Start the files of a run in `folder`, which is made if missing.
 
-    `stages` are the columns of `timing.csv`; without them the first frame's are taken. Raises
+    `stages` are the columns of `timing.csv`; without them the first frame's are taken.
+    `frame_number` gives the number of each stamp (ns) in the sequence; None where no objects are
+    tracked, which leaves `objects_kitti.txt` out. Raises
     `InputError` where the folder holds a run already (unless `force`, which removes that run's
     files and nothing else) or cannot be written into.
     """
     prepare_folder(folder, force=force)
     names = (
         *_ALWAYS,
+        *(() if frame_number is None else _OBJECTS),
         *(_CALIBRATION if calibration else ()),
         *(_POINTS if save_points else ()),
         *(_VIDEO if video else ()),
     )
-    context = RunContext(rig, tuple(stages))
+    context = RunContext(rig, tuple(stages), frame_number or {})
     opened: list[Output] = []
     try:
         for name in names:

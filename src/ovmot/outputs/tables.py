@@ -117,7 +117,11 @@ class CalibrationTable:
 
 
 class PointsTable:
-    """`points.csv`: every feature of every frame with its verdict."""
+    """`points.csv`: every feature of every frame with its verdict.
+
+    Features that the right camera follows by itself are left out: their place in the left image,
+    which the table is about, is not known.
+    """
 
     columns = "timestamp_ns,feature_id,u,v,u_right,v_right,x_cam,y_cam,z_cam,label,track_id"
     _row = "%d,%d,%.3f,%.3f,%.3f,%.3f,%.4f,%.4f,%.4f,%s,%s"
@@ -127,13 +131,14 @@ class PointsTable:
 
     def write(self, result: FrameResult) -> None:
         points = result.points
+        in_left = np.isfinite(points.pixels[:, 0])
         rows = zip(
-            [result.timestamp_ns] * len(points.feature_id),
-            points.feature_id.tolist(),
-            *points.pixels.T.tolist(),
-            *points.p_cam0.T.tolist(),
-            [_LABELS[label] for label in points.label.tolist()],
-            ["" if track < 0 else str(track) for track in points.track_id.tolist()],
+            [result.timestamp_ns] * int(in_left.sum()),
+            points.feature_id[in_left].tolist(),
+            *points.pixels[in_left].T.tolist(),
+            *points.p_cam0[in_left].T.tolist(),
+            [_LABELS[label] for label in points.label[in_left].tolist()],
+            ["" if track < 0 else str(track) for track in points.track_id[in_left].tolist()],
             strict=True,
         )
         self._file.append(format_rows(self._row, rows))

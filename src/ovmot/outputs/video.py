@@ -14,9 +14,11 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import Image
 from ovmot.outputs.dynamic_overlay import draw_dynamic
 from ovmot.outputs.stereo_overlay import draw_stereo
+from ovmot.outputs.tracks_overlay import Trails, draw_tracks
 from ovmot.types import FeatureFrame, FrameResult
 
 _MAX_WIDTH = 1920
@@ -27,8 +29,10 @@ _BT601, _LIMITED_RANGE = 6, 1  # what `COLOR_BGR2YUV_I420` makes; numbers of ITU
 _OPTIONS = {"preset": "superfast", "crf": "23"}
 
 
-def compose(result: FrameResult, rig: StereoRig) -> Image:
+def compose(result: FrameResult, rig: StereoRig, trails: Trails = Trails()) -> Image:  # noqa: B008 - frozen
     """One picture of even size (BGR): the stereo overlay, below it the dynamic one as wide.
+
+    The latter holds the confirmed tracks and the ways they came, `trails`.
 
     It is twice as wide as an image, but no wider than 1920 pixels. Raises `OvmotError` for a frame
     without images.
@@ -39,7 +43,10 @@ def compose(result: FrameResult, rig: StereoRig) -> Image:
     image_width = frame.left.shape[1]
     width = min(2 * image_width, _MAX_WIDTH)
     upper = draw_stereo(frame, result.matches, rig, width / (2 * image_width))
-    lower = draw_dynamic(frame, result.points, width / image_width, result.tracks)
+    scale = width / image_width
+    lower = draw_dynamic(frame, result.points, scale)
+    T_cam0_world = se3.inverse(result.ego.T_world_imu @ result.ego.T_imu_cam0)
+    draw_tracks(lower, result.tracks, trails, T_cam0_world, rig.cam0, scale)
     height = upper.shape[0] + lower.shape[0]
     canvas = np.zeros((height + height % 2, width, 3), dtype=np.uint8)
     for picture, top in ((upper, 0), (lower, upper.shape[0])):
@@ -111,14 +118,16 @@ class OverlayVideo:
             return
         second = self._next()
         gap_ns = second.timestamp_ns - first.timestamp_ns if second else _NS_PER_S // 10
-        picture = compose(first, self._rig)
+        trails = Trails().extended(first)
+        picture = compose(first, self._rig, trails)
         encoder = _Encoder(self._path, picture.shape[1], picture.shape[0], gap_ns)
         try:
             encoder.encode(picture, 0)
             following = second
             while following is not None:
                 elapsed_ns = following.timestamp_ns - first.timestamp_ns
-                encoder.encode(compose(following, self._rig), elapsed_ns)
+                trails = trails.extended(following)
+                encoder.encode(compose(following, self._rig, trails), elapsed_ns)
                 following = self._next()
         finally:
             encoder.close()

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
-from ovmot.sim.kernel_cache import code_folder, compiled
+from ovmot.kernel_cache import code_folder, compiled
 
 SKY, GROUND, FIRST_BOX = 0, 1, 2
 PERSISTENCE = 0.75

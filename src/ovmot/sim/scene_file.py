@@ -16,7 +16,9 @@ from ovmot.config import Section, plain_messages, read_yaml_mapping
 from ovmot.errors import InputError
 
 CATALOG = Path(str(resources.files("ovmot.sim") / "catalog"))
-SCENES: tuple[str, ...] = ("demo", "traffic", "crossing", "jam", "empty", "night", "fisheye")
+SCENES: tuple[str, ...] = (
+    "demo", "traffic", "crossing", "jam", "pullout", "empty", "night", "fisheye",
+)  # fmt: skip
 MAX_DURATION_S = 600.0
 RigName = Literal["street", "fisheye"]
 RIGS: tuple[str, ...] = get_args(RigName)

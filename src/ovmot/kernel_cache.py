@@ -1,4 +1,4 @@
-"""Compiled machine code kept on disk, so that only the first simulation on a machine compiles.
+"""Compiled machine code kept on disk, so that only the first run on a machine compiles.
 
 numba by itself writes beside the sources, or where an environment variable of the process tells.
 Here the folder is the user's own, and its name is a hash of the source: other text, other folder.

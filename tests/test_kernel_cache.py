@@ -9,12 +9,12 @@ from pathlib import Path
 import numba
 import pytest
 
-from ovmot.sim.kernel_cache import code_folder, compiled
+from ovmot.kernel_cache import code_folder, compiled
 
 SCRIPT = """
 import sys
 from pathlib import Path
-from ovmot.sim.kernel_cache import code_folder, compiled
+from ovmot.kernel_cache import code_folder, compiled
 import small
 kernel = compiled(small.kernel, code_folder(Path(small.__file__)))
 assert kernel(20) == small.kernel(20)
@@ -27,7 +27,7 @@ KERNEL = (
 
 def run(folder: Path, cache: Path) -> str:
     """Hits in the cache and the kernel's value, of a process of its own."""
-    source = Path(__file__).parents[2] / "src"
+    source = Path(__file__).parents[1] / "src"
     path = os.pathsep.join([str(folder), str(source)])
     own = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
     environment = {**os.environ, **own}

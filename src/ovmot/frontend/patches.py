@@ -1,0 +1,168 @@
+"""Affine alignment of patches with what they looked like when first seen.
+
+Frame-to-frame flow adds up its errors, and a window that only shifts does not fit ground that is
+seen at a slant: from one frame to the next, and from left to right, it slides. Each feature
+therefore keeps its first patch, and every match is refined against it under an affine warp (J. Shi
+& C. Tomasi, CVPR 1994) by inverse compositional Gauss-Newton steps (S. Baker & I. Matthews, IJCV
+2004), on all features at once. Patches are compared with their mean taken off and their norm
+divided out, under a Gaussian weight around the centre.
+"""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ovmot.frontend.patch_kernel import align_points_compiled
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+
+_Float32 = npt.NDArray[np.float32]
+
+_RADIUS = 6  # pixels: patches are 13 wide
+_WEIGHT_SIGMA_PX = 3.0
+_MAX_STEPS = 8
+_SMALL_STEP_PX = 0.02
+_MAX_SHIFT_PX = 3.0  # from where the flow had ended
+_MIN_CORRELATION = 0.85
+_DAMPING = 1e-3  # of the mean curvature: texture along one direction only does not run away
+_SCALES = (0.6, 1.7)  # a patch seen larger or smaller than this is taken anew
+_BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
+
+_axis = np.arange(-_RADIUS, _RADIUS + 1, dtype=np.float32)
+_OFFSETS: _Float32 = np.stack(np.meshgrid(_axis, _axis), axis=-1).reshape(-1, 2)
+
+# What lies off the centre counts less: at an outline it belongs to another body.
+_ROOT_WEIGHT: _Float32 = np.exp(-0.25 * (_OFFSETS**2).sum(axis=1) / _WEIGHT_SIGMA_PX**2)
+
+
+@dataclass(frozen=True, slots=True)
+class Patches:
+    """N patches of M pixels: `grey` (N, M), weighted, of zero mean and unit norm; `steepest`
+    (N, M, 6), its derivative by a shift (2) and by the warp's four numbers times the radius;
+    `inverse` (N, 6, 6) of the curvature; `warp` (N, 2, 2): an offset x in the patch is now seen at
+    uv + warp x."""
+
+    grey: _Float32
+    steepest: _Float32
+    inverse: _Float32
+    warp: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.grey)
+
+    def rows(self, kept: BoolArray | IntArray) -> "Patches":
+        """Some of them."""
+        return Patches(
+            self.grey[kept], self.steepest[kept], self.inverse[kept], self.warp[kept]
+        )  # fmt: skip
+
+    def joined(self, others: "Patches") -> "Patches":
+        """These, and others after them."""
+        return Patches(
+            np.concatenate([self.grey, others.grey]),
+            np.concatenate([self.steepest, others.steepest]),
+            np.concatenate([self.inverse, others.inverse]),
+            np.concatenate([self.warp, others.warp]),
+        )
+
+
+def smoothed(image: Image) -> Image:
+    """The image as patches are cut from it and aligned with it."""
+    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX))
+
+
+def cut_patches(image: Image, uv: FloatArray) -> Patches:
+    """Patches around pixels (N, 2) of a smoothed image, as they are seen there."""
+    n, side = len(uv), 2 * _RADIUS + 3
+    axis = np.arange(side, dtype=np.float32) - (_RADIUS + 1)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    wide = _sample(image, uv, np.broadcast_to(np.eye(2), (n, 2, 2)), grid).reshape(n, side, side)
+    grey, norm = weighted_unit(wide[:, 1:-1, 1:-1].reshape(n, len(_OFFSETS)))
+    by_u = 0.5 * (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]).reshape(n, len(_OFFSETS)) / norm
+    by_v = 0.5 * (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]).reshape(n, len(_OFFSETS)) / norm
+    x, y = _OFFSETS[:, 0] / _RADIUS, _OFFSETS[:, 1] / _RADIUS
+    steepest = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y], axis=-1)
+    weight = (_ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum())[:, None]
+    steepest = (steepest - (weight * steepest).sum(axis=1, keepdims=True)) * _ROOT_WEIGHT[:, None]
+    steepest -= grey[..., None] * (grey[:, None, :] @ steepest)  # what a gain would explain
+    H = np.swapaxes(steepest, 1, 2) @ steepest
+    damping = _DAMPING * np.trace(H, axis1=1, axis2=2) / 6.0 + 1e-9
+    inverse = np.linalg.inv(H + damping[:, None, None] * np.eye(6, dtype=np.float32))
+    warp = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
+    return Patches(grey, steepest, inverse.astype(np.float32), warp)
+
+
+def no_patches() -> Patches:
+    """None yet."""
+    return cut_patches(np.zeros((1, 1), dtype=np.uint8), np.empty((0, 2)))
+
+
+def align(
+    patches: Patches,
+    image: Image,
+    start: FloatArray,
+    start_warp: FloatArray,
+    workers: Executor,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Where the patches are in a smoothed image: uv (N, 2), warps (N, 2, 2), and which fit (N,).
+
+    From `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves of the
+    points run in two threads, each point by itself, so the answer does not depend on the split.
+    """
+    uv, warp = start.astype(np.float64), start_warp.astype(np.float64)
+    half = (len(uv) + 1) // 2
+    parts = [slice(0, half), slice(half, None)]
+    jobs = [
+        workers.submit(
+            align_points_compiled, image, patches.grey[part], patches.steepest[part],
+            patches.inverse[part], _ROOT_WEIGHT, uv[part], warp[part],
+            _MAX_STEPS, _SMALL_STEP_PX, _MAX_SHIFT_PX,
+        )
+        for part in parts
+    ]  # fmt: skip
+    correlation = np.concatenate([job.result() for job in jobs])
+    shift = np.linalg.norm(uv - start, axis=1)
+    with np.errstate(invalid="ignore"):
+        fits = (shift < _MAX_SHIFT_PX) & (correlation > _MIN_CORRELATION)
+    return uv, warp, fits
+
+
+def followed(
+    patches: Patches, image: Image, start: FloatArray, workers: Executor
+) -> tuple[FloatArray, Patches]:
+    """Refined pixels (N, 2) in the next smoothed left image, and the patches as seen there.
+
+    Those that do not fit any more, or are seen at another scale, stay where the flow left them or
+    the alignment put them, and are taken anew.
+    """
+    uv, warp, fits = align(patches, image, start, patches.warp, workers)
+    uv = np.where(fits[:, None], uv, start)
+    scale = np.linalg.svd(np.where(fits[:, None, None], warp, np.eye(2)), compute_uv=False)
+    stale = ~fits | (scale.max(axis=1) > _SCALES[1]) | (scale.min(axis=1) < _SCALES[0])
+    out = replace(patches, warp=warp)
+    if stale.any():
+        fresh = cut_patches(image, uv[stale])
+        order = np.argsort(np.r_[np.flatnonzero(~stale), np.flatnonzero(stale)])
+        out = out.rows(~stale).joined(fresh).rows(order)
+    return uv, out
+
+
+def _sample(image: Image, uv: FloatArray, warp: FloatArray, offsets: _Float32) -> _Float32:
+    """Grey levels (N, M) at uv + warp offset; the border is carried on outwards."""
+    if not len(uv):
+        return np.empty((0, len(offsets)), dtype=np.float32)
+    where = uv[:, None].astype(np.float32) + offsets @ np.swapaxes(warp, 1, 2).astype(np.float32)
+    sampled = cv2.remap(
+        image, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(sampled, dtype=np.float32)
+
+
+def weighted_unit(grey: _Float32) -> tuple[_Float32, _Float32]:
+    """Rows (N, M) less their weighted mean, by root weight, of unit norm; and that norm (N, 1)."""
+    weight = _ROOT_WEIGHT**2 / (_ROOT_WEIGHT**2).sum()
+    grey = (grey - (grey * weight).sum(axis=1, keepdims=True)) * _ROOT_WEIGHT
+    norm = np.maximum(np.linalg.norm(grey, axis=1, keepdims=True), np.float32(1e-3))
+    return grey / norm, norm

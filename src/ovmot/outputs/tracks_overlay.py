@@ -1,0 +1,107 @@
+"""The tracked bodies in a picture: 2-D and 3-D box, id, speed, and the way they came."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ovmot.cameras.camera import Camera
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.outputs import drawing
+from ovmot.types import FrameResult, ObjectTrack
+
+TRAIL_S = 4.0
+"""How much of a track's way is shown."""
+_NEAREST_M = 0.3  # what is nearer to the camera's plane is cut off
+_MOST_GAP_M = 8.0  # a longer step of a trail would be a line across the picture
+_SAMPLES = 12  # along an edge, which the lens bends into a curve
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)])
+_FRONT = np.array([(4, 7), (5, 6)])  # a cross on the side that the body moves towards
+
+
+@dataclass(frozen=True, slots=True)
+class Trails:
+    """Where the confirmed tracks of the last seconds were: times (ns) and positions in the world.
+
+    `segment` is the run's: positions before a restart belong to another world.
+    """
+
+    segment: int = 0
+    points: dict[int, tuple[tuple[int, FloatArray], ...]] = field(default_factory=dict)
+
+    def extended(self, result: FrameResult) -> "Trails":
+        """The trails with a further frame, without what is older than `TRAIL_S`."""
+        before = self.points if result.segment == self.segment else {}
+        since = result.timestamp_ns - round(1e9 * TRAIL_S)
+        now = {t.track_id: t.position for t in result.tracks if t.state == "confirmed"}
+        points = {}
+        for track_id in dict.fromkeys((*before, *now)):
+            kept = tuple(p for p in before.get(track_id, ()) if p[0] >= since)
+            new = ((result.timestamp_ns, now[track_id]),) if track_id in now else ()
+            if kept or new:
+                points[track_id] = (*kept, *new)
+        return Trails(result.segment, points)
+
+    def of(self, track_id: int) -> FloatArray:
+        """Positions (K, 3) of a track, the oldest first."""
+        positions = [p for _, p in self.points.get(track_id, ())]
+        return np.array(positions, dtype=np.float64).reshape(-1, 3)
+
+
+def draw_tracks(
+    picture: Image,
+    tracks: Sequence[ObjectTrack],
+    trails: Trails,
+    T_cam0_world: FloatArray,
+    camera: Camera,
+    scale: float = 1.0,
+) -> None:
+    """Draw the confirmed tracks into a picture `scale` times as large as the left image.
+
+    Each has a colour of its own: the box of its points in the image (dark) and its 3-D box, with
+    a cross on the side it moves towards, the way it came, its id and its speed. `T_cam0_world`
+    (4, 4) is the corrected pose; what is behind the camera or beyond the lens is cut off.
+    """
+    shown = [track for track in tracks if track.state == "confirmed"]
+    for track in shown:
+        color = drawing.color_of(track.track_id)
+        trail = trails.of(track.track_id)
+        ways = np.stack([trail[:-1], trail[1:]], axis=1)
+        ways = ways[np.linalg.norm(ways[:, 1] - ways[:, 0], axis=1) < _MOST_GAP_M]
+        if np.isfinite(track.box_px).all():
+            drawing.rectangle(picture, track.box_px, drawing.dimmed(color), scale)
+        for ends in (ways, body_edges(track)):
+            drawing.curves(picture, seen_pieces(ends, T_cam0_world, camera), color, scale)
+    for track in shown:  # above all lines
+        words = f"#{track.track_id}  {np.linalg.norm(track.velocity):.1f} m/s"
+        drawing.label(picture, track.box_px[:2], words, drawing.color_of(track.track_id), scale)
+
+
+def body_edges(track: ObjectTrack) -> FloatArray:
+    """Ends (14, 2, 3) in the world of the edges of a track's box and of the cross on its front."""
+    c, s = np.cos(track.yaw), np.sin(track.yaw)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    corners = track.position + (_CORNERS * track.size) @ R.T
+    return np.asarray(corners[np.concatenate([_EDGES, _FRONT])])
+
+
+def seen_pieces(ends: FloatArray, T_cam0_world: FloatArray, camera: Camera) -> FloatArray:
+    """Pixels (M, 2, 2) of the pieces of straight lines (N, 2, 3) in the world that are seen.
+
+    A piece is left out where it is behind the camera, out of the image, or where the lens model
+    has folded back.
+    """
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
+    points = ends[:, None, 0] * (1.0 - share) + ends[:, None, 1] * share
+    p = se3.apply(T_cam0_world, points)
+    z = np.where(p[..., 2:] > _NEAREST_M, p[..., 2:], np.nan)
+    xy = p[..., :2] / z
+    uv = camera.denormalize(xy)
+    margin = 0.1 * camera.width
+    good = camera.inside(uv, -margin)
+    back = camera.normalize(np.where(good[..., None], uv, np.nan))
+    good &= np.max(np.abs(back - xy), axis=-1) < 1e-3
+    pieces = np.stack([uv[:, :-1], uv[:, 1:]], axis=2)
+    return np.asarray(pieces[good[:, :-1] & good[:, 1:]])
