@@ -38,7 +38,6 @@ from ovmot.tracks import TrackTable, append_frame, empty_table, mark_used
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 
 _MIN_REST_FRAMES = 3
-_OFFSET_SIGMAS = 4.0
 _MIN_MOTION_FRAMES = 5
 _SPACING_SLACK = 0.95  # frames do not come to the nanosecond
 _MAX_FEATURES = 600  # of the refinement, those seen longest first
@@ -71,12 +70,8 @@ class FilterStart:
         return frame_ns + round(self.rig.time_offset_s * 1e9)
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that must be reached before this frame is looked at.
-
-        A little more than the frame's own: the start may move the time offset, and so the time
-        from which the filter goes on.
-        """
-        return self.imu_time_ns(frame_ns) + round(1e9 * _OFFSET_SIGMAS * self._offset_sigma_s())
+        """The IMU time that must be reached before this frame is looked at."""
+        return self.imu_time_ns(frame_ns)
 
     def __call__(
         self, frames: Sequence[FrontendFrame], imu: ImuBuffer
@@ -107,7 +102,7 @@ class FilterStart:
         if failure is not None:
             return failure
         state = start_at_rest(samples)
-        nodes = self._spaced(frames)
+        nodes = [frames[k] for k in self._spaced(frames)]
         stamps = [self.imu_time_ns(f.timestamp_ns) for f in nodes]
         if begin < stamps[0]:
             stamps = [begin, *stamps]  # the rest before the first frame counts as well
@@ -128,71 +123,70 @@ class FilterStart:
             settings.filter.gravity_mps2, settings.initialization.accel_bias_sigma_mps2
         )
         start = start_in_motion(frames, pieces, self.rig, self.noise, prior)
-        nodes = self._spaced(frames)
-        chosen = [i for i, f in enumerate(frames) if any(f is node for node in nodes)]
+        chosen = self._spaced(frames)
         return _Guess(
-            start.first, start.T_world_imu[chosen], np.array(stamps)[chosen], nodes,
-            start.feature_id, resting=False,
+            start.first, start.T_world_imu[chosen], np.array(stamps)[chosen],
+            [frames[k] for k in chosen], start.feature_id, resting=False,
         )  # fmt: skip
 
     def _started(self, guess: _Guess, imu: ImuBuffer) -> tuple[FilterEgo, TrackTable]:
         """The refined filter, and the table in which what it used is marked."""
-        refined = self._refined(guess, imu)
+        left = self._left_to_filter(guess)
+        refined = self._refined(guess, np.setdiff1d(guess.feature_id, left), imu)
         if max(refined.factor_misfit, refined.pixel_misfit) > _MAX_MISFIT:
             raise CannotStart(
                 f"IMU and images of the window are off by {refined.factor_misfit:.1f} and"
                 f" {refined.pixel_misfit:.1f} sigma (at most {_MAX_MISFIT:g})"
             )
         frames = guess.frames
-        K, n = len(guess.imu_ns), len(frames)
-        kept = range(n)[-self.settings.filter.max_clones :]
+        blind = len(guess.imu_ns) - len(frames)  # instants before the first frame
+        kept = np.arange(len(frames))[-self.settings.filter.max_clones :]
         clone_ns = np.array([frames[k].timestamp_ns for k in kept])
         state = filter_state(
-            refined.window, refined.covariance, np.array([K - n + k for k in kept]), clone_ns,
-            self.rig.time_offset_s,
-        )  # fmt: skip
-        span_s = (guess.imu_ns[-1] - guess.imu_ns[0]) * 1e-9
-        walk = np.zeros(len(state.covariance))
-        walk[GYRO_BIAS] = self.noise.gyro_walk**2 * span_s
-        walk[ACCEL_BIAS] = self.noise.accel_walk**2 * span_s
+            refined.window, refined.covariance, blind + kept, clone_ns, self.rig.time_offset_s
+        )
         state = replace(
             state,
-            covariance=state.covariance + np.diag(walk),
+            covariance=state.covariance + self._bias_walk(guess, len(state.covariance)),
             landmarks=no_landmarks(self.settings.filter.landmark_representation),
         )
         ego = FilterEgo(
             state, self.rig, self.noise, self.settings, guess.resting, frames[-1].timestamp_ns
         )
-        return ego, _table_of(frames, clone_ns, self._left_to_filter(guess))
+        return ego, _table_of(frames, clone_ns, left)
 
-    def _refined(self, guess: _Guess, imu: ImuBuffer) -> RefinedStart:
+    def _bias_walk(self, guess: _Guess, size: int) -> FloatArray:
+        """How far the biases, one for the whole window, may have walked at its end (N, N)."""
+        span_s = (guess.imu_ns[-1] - guess.imu_ns[0]) * 1e-9
+        variance = np.zeros(size)
+        variance[GYRO_BIAS] = self.noise.gyro_walk**2 * span_s
+        variance[ACCEL_BIAS] = self.noise.accel_walk**2 * span_s
+        return np.diag(variance)
+
+    def _refined(self, guess: _Guess, feature_id: IntArray, imu: ImuBuffer) -> RefinedStart:
+        """The guess refined by the IMU and what its frames saw of some features."""
         settings = self.settings
+        gravity, sigma_s = settings.filter.gravity_mps2, self._offset_sigma_s()
+        accel_bias_sigma = settings.initialization.accel_bias_sigma_mps2
         cuts = [imu.between(int(a), int(b)) for a, b in pairwise(guess.imu_ns)]
-        limit = settings.imu.max_gap_s
-        pieces = ImuPieces(
-            cuts, [imu.spacing_s(c) > limit for c in cuts], self.noise,
-            INTEGRATORS[settings.filter.integration],
-        )  # fmt: skip
+        unseen = [imu.spacing_s(c) > settings.imu.max_gap_s for c in cuts]
+        pieces = ImuPieces(cuts, unseen, self.noise, INTEGRATORS[settings.filter.integration])
         calibration, variance = make_calibration(self.rig, settings.calibration)
         gyro = np.array([cuts[0].gyro[0], *(c.gyro[-1] for c in cuts)])
         window = StartWindow(
             guess.imu_ns, guess.T_world_imu, np.zeros((len(gyro), 3)), gyro,
             guess.first.gyro_bias, guess.first.accel_bias, 0.0, calibration,
         )  # fmt: skip
-        gravity, sigma_s = settings.filter.gravity_mps2, self._offset_sigma_s()
         window = _with_velocities(window, guess.first.velocity, pieces, gravity)
 
         def factors(at: StartWindow) -> list[Factor]:
             known = [
                 imu_factor(at, pieces, gravity),
-                prior_factor(
-                    at, settings.initialization.accel_bias_sigma_mps2, sigma_s, variance
-                ),
-            ]  # fmt: skip
+                prior_factor(at, accel_bias_sigma, sigma_s, variance),
+            ]
             return [*known, rest_factor(at)] if guess.resting else known
 
-        chosen = np.setdiff1d(guess.feature_id, self._left_to_filter(guess))
-        pixels = window_pixels(guess.frames, chosen, _MAX_FEATURES)
+        pixels = window_pixels(guess.frames, feature_id, _MAX_FEATURES)
         blind = np.full((len(pixels), len(gyro) - len(guess.frames), 4), np.nan)
         return refine_start(
             window, factors, np.concatenate([blind, pixels], axis=1), self.rig, settings.filter,
@@ -207,22 +201,24 @@ class FilterStart:
         them: images of a rig that stands add nothing to its rest.
         """
         frames = guess.frames
-        alive = frames[-1].feature_id
         if guess.resting:
             return np.unique(np.concatenate([f.feature_id for f in frames]))
+        alive = frames[-1].feature_id
         views = np.sum([np.isin(alive, f.feature_id) for f in frames], axis=0)
         longest = np.argsort(-views, kind="stable")[: self.settings.filter.max_landmarks]
         return np.asarray(alive[longest])
 
-    def _spaced(self, frames: Sequence[FrontendFrame]) -> list[FrontendFrame]:
+    def _spaced(self, frames: Sequence[FrontendFrame]) -> list[int]:
         """The first and the last frame, and those between that are `clone_spacing_s` apart."""
         step_ns = _SPACING_SLACK * 1e9 * self.settings.filter.clone_spacing_s
-        out = [frames[0]]
-        for frame in frames[1:-1]:
-            enough = frame.timestamp_ns - out[-1].timestamp_ns >= step_ns
-            if enough and frames[-1].timestamp_ns - frame.timestamp_ns >= step_ns:
-                out.append(frame)
-        return [*out, frames[-1]]
+        last = len(frames) - 1
+        out = [0]
+        for k in range(1, last):
+            since = frames[k].timestamp_ns - frames[out[-1]].timestamp_ns
+            left = frames[last].timestamp_ns - frames[k].timestamp_ns
+            if min(since, left) >= step_ns:
+                out.append(k)
+        return [*out, last]
 
     def _offset_sigma_s(self) -> float:
         known = self.settings.filter

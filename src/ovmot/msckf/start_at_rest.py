@@ -54,18 +54,24 @@ def standing_points(
     if len(a) < _MIN_POINTS:
         return StandingPoints(last.feature_id[b[still]], 0.0, 0, 0)
     before, now = first.normalized[a], last.normalized[b]
-    motion = solve_stereo_motion(
-        before, now, rig.T_cam1_cam0, np.eye(3), plane_sigma(rig, PIXEL_SIGMA), _ROTATION_SIGMA
-    )
-    moving_space = 0
-    if motion is not None and motion_is_significant(motion, _MIN_MOTION_M):
-        moving_space = space_filled(before[motion.inlier], rig)
+    # A creep is a motion of all, though few points show it; a drive behind a truck one of the rest.
+    everything = np.ones(len(a), dtype=np.bool_)
+    moving_space = max(_moving_space(before[c], now[c], rig) for c in (everything, ~still))
     return StandingPoints(
         last.feature_id[b[still]],
         float(still.mean()),
         space_filled(before[still], rig),
         moving_space,
     )
+
+
+def _moving_space(before: FloatArray, now: FloatArray, rig: StereoRig) -> int:
+    """Room filled by those of stereo points (N, 4) that move together, 0 where they do not move."""
+    sigma = plane_sigma(rig, PIXEL_SIGMA)
+    motion = solve_stereo_motion(before, now, rig.T_cam1_cam0, np.eye(3), sigma, _ROTATION_SIGMA)
+    if motion is None or not motion_is_significant(motion, _MIN_MOTION_M):
+        return 0
+    return space_filled(before[motion.inlier], rig)
 
 
 def picture_restless(points: StandingPoints, settings: InitializationSettings) -> str | None:

@@ -125,19 +125,16 @@ def prior_factor(
     caller, and has no row here that counts.
     """
     up_body = window.T_world_imu[0, 2, :3]
-    n = window.n_common
+    n, eye = window.n_common, np.eye(3)
     variance = np.concatenate([[offset_sigma_s**2], calibration])
     known = np.concatenate([[window.offset_s], window.calibration.deviation])
     weight = 1.0 / np.sqrt(np.where(variance > 0.0, variance, 1.0))
     r, J = np.zeros(10 + len(variance)), np.zeros((10 + len(variance), window.size))
     first = window.columns(0).start
     r[:3] = window.T_world_imu[0, :3, 3] / GAUGE_SIGMA
-    J[:3, first + 3 : first + 6] = np.eye(3) / GAUGE_SIGMA
+    J[:3, first + 3 : first + 6] = eye / GAUGE_SIGMA
     J[3, first : first + 3] = up_body / GAUGE_SIGMA
-    r[4:7], J[4:7, BIAS_OF_GYRO] = window.gyro_bias / _GYRO_BIAS_SIGMA, np.eye(3) / _GYRO_BIAS_SIGMA
-    r[7:10], J[7:10, BIAS_OF_ACCEL] = (
-        window.accel_bias / accel_bias_sigma,
-        (np.eye(3) / accel_bias_sigma),
-    )
+    r[4:7], J[4:7, BIAS_OF_GYRO] = window.gyro_bias / _GYRO_BIAS_SIGMA, eye / _GYRO_BIAS_SIGMA
+    r[7:10], J[7:10, BIAS_OF_ACCEL] = window.accel_bias / accel_bias_sigma, eye / accel_bias_sigma
     r[10:], J[10:, OFFSET:n] = known * weight, np.diag(weight)
     return r, J
