@@ -115,5 +115,5 @@ def test_residuals_of_noisy_samples_are_white(
         r, _ = imu_factor(window, cut(data, white, 20), G)
         total, n = total + float(r @ r), n + len(r)
     # the mean of a pair's two samples is less noisy than one: half of the noise at a piece's ends
-    low, high = chi2.ppf([0.001, 0.999], n) / n
+    low, high = np.asarray(chi2.ppf([0.001, 0.999], n)) / n
     assert 0.95 * low < total / n < high
