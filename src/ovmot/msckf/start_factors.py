@@ -21,9 +21,9 @@ from ovmot.types import ImuData, ImuNoise
 
 GAUGE_SIGMA = 1e-5  # m and rad: where the world begins and heads is said, not measured
 _GYRO_BIAS_SIGMA = 0.05  # rad/s
-_REST_SPEED_SIGMA = 0.02  # m/s
+_REST_SPEED_SIGMA = 5e-3  # m/s, of a body that rocks on its springs
 _REST_TURN_SIGMA = 1e-5  # rad, between two instants of a rest
-_REST_SHIFT_SIGMA = 2e-3  # m, of a body that rocks on its springs
+_REST_SHIFT_SIGMA = 5e-4  # m, of the same
 _INTEGRATION_SIGMA = 1e-6  # rad, m, m/s: keeps a piece of one sample pair from being singular
 
 Factor = tuple[FloatArray, FloatArray]
