@@ -284,13 +284,16 @@ def _saying(
     said_ns: int | None = None
     for event in stream:
         yield event
-        if isinstance(event, ImuSample) or pipeline.started:
+        if isinstance(event, ImuSample):
             continue
-        if said_ns is None:
+        if pipeline.started:
+            said_ns = None
+        elif said_ns is None:
             said_ns = event.timestamp_ns  # a start in the first second needs no words
         elif event.timestamp_ns - said_ns >= _SAY_EVERY_NS:
             said_ns = event.timestamp_ns
-            on_wait(f"no start at frame {event.timestamp_ns} ns: {pipeline.not_started_because}")
+            why = pipeline.not_started_because or "no frame is covered by the IMU"
+            on_wait(f"no start at frame {event.timestamp_ns} ns: {why}")
 
 
 def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> Iterator[Event]:
