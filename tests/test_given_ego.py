@@ -82,7 +82,9 @@ def test_velocity_is_the_difference_of_the_last_two_poses(ego: GivenEgo) -> None
 
 def test_it_starts_at_once_and_needs_no_imu(ego: GivenEgo) -> None:
     start = GivenStart(ego)
-    assert start((seen(int(STAMPS[0])),), IMU) is ego
+    source, table = start((seen(int(STAMPS[0])),), IMU)
+    assert source is ego
+    assert table.shape == (0, 0)
     assert start.imu_needed_until(5) is None
     assert ego.imu_needed_until(5) is None
     assert not ego.estimate(int(ego.pose_ns[0])).standing

@@ -1,10 +1,12 @@
 """A run from a folder to its files."""
 
 import json
+import re
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -210,6 +212,42 @@ def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_pat
         "ego": "filter", "start": "found", "ego_poses": None, "masks": None, "first": 0,
         "last": None,
     }  # fmt: skip
+
+
+def test_while_it_waits_it_says_why_once_a_second(painted_euroc: Path, tmp_path: Path) -> None:
+    """Twelve frames of 1.1 s: said once, not at the first frame and not at each."""
+    restless = SETTINGS.initialization.model_copy(update={"rest_gyro_rps": 1e-9})
+    settings = SETTINGS.model_copy(update={"initialization": restless})
+    said: list[str] = []
+    with pytest.raises(OvmotError, match="never started"):
+        run_sequence(
+            open_sequence(painted_euroc), settings, RunOptions(tmp_path / "out"),
+            on_wait=said.append,
+        )  # fmt: skip
+    assert len(said) == 1
+    assert said[0].startswith(f"no start at frame {STAMPS[10]} ns: not at rest: ")
+    assert re.search(r"gyroscope varies by \d+\.\d+ rad/s \(at rest below 1e-09\)", said[0])
+    assert re.search(r"in motion: \d\.\d\d s of frames \(needs 1\.2 s\)", said[0])
+    assert described(tmp_path / "out")["not_started_because"] is not None
+
+
+def test_it_says_so_each_second_and_anew_after_a_reset() -> None:
+    """Frames at 10 Hz; there is a start from 2.5 s to 3.5 s."""
+    pipeline: Any = SimpleNamespace(started=False, not_started_because="too dark")
+    frames: list[Any] = [SimpleNamespace(timestamp_ns=START_NS + 10**8 * k) for k in range(60)]
+    said: list[str] = []
+    for k, _ in enumerate(run_module._saying(iter(frames), pipeline, said.append)):
+        pipeline.started = 25 <= k < 35
+    expected = [10, 20, 45, 55]
+    assert said == [f"no start at frame {START_NS + 10**8 * k} ns: too dark" for k in expected]
+
+
+def test_a_run_that_starts_in_time_says_nothing(painted_euroc: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    run_sequence(
+        open_sequence(painted_euroc), SETTINGS, RunOptions(tmp_path / "out"), on_wait=said.append
+    )
+    assert said == []
 
 
 def stop_at(frame: int, error: BaseException) -> Callable[[int], None]:

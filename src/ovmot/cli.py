@@ -130,7 +130,9 @@ def run(
         _interruptible("what was done until here is written whole"),
         _progress("run", max(stop - first, 0)) as advance,
     ):
-        summary = run_sequence(recorded, settings, options, advance)
+        summary = run_sequence(
+            recorded, settings, options, advance, lambda why: _say(f"ovmot: {why}")
+        )
     for warning, count in summary.warnings.items():
         if warning not in recorded.warnings:
             _say(f"ovmot: warning: {warning} ({count})")

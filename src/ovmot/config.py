@@ -183,7 +183,7 @@ class InitializationSettings(Section):
     """At rest, the accelerometer's standard deviation is below this."""
     rest_pixel: float = Field(0.5, gt=0.0)
     """At rest, a point moves less than this in the image, pixels."""
-    rest_share: float = Field(0.5, gt=0.0, le=1.0)
+    rest_share: float = Field(0.2, gt=0.0, le=1.0)
     """At rest, at least this share of the points stands still."""
 
 

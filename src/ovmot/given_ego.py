@@ -11,7 +11,7 @@ from ovmot.errors import DatasetError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer
-from ovmot.tracks import TrackTable, keep_window
+from ovmot.tracks import TrackTable, empty_table, keep_window
 from ovmot.types import EgoEstimate, FrontendFrame, Health, PoseWindow
 
 
@@ -132,6 +132,8 @@ class GivenStart:
         """No IMU is needed."""
         return None
 
-    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> "GivenEgo | str":
-        """The ego source."""
-        return self.ego
+    def __call__(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple[GivenEgo, TrackTable]:
+        """The ego source, which has seen nothing yet."""
+        return self.ego, empty_table()

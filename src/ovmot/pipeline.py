@@ -129,8 +129,13 @@ class Start(Protocol):
         """The IMU time that a frame must wait for, or None."""
         ...
 
-    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> Ego | str:
-        """An ego source at the first frame's time, or why there is none yet."""
+    def __call__(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple[Ego, TrackTable] | str:
+        """An ego source and the table of the frames that it has gone through, or why there is none.
+
+        That is none of the frames, and the source is at the first of them; or all of them.
+        """
         ...
 
 
@@ -163,7 +168,7 @@ class Pipeline:
         self._pending: deque[FrontendFrame] = deque()
         self._last_frame_ns: int | None = None
         self._resume_at: FloatArray | None = None
-        self.not_started_because = "no frame was seen"
+        self.not_started_because: str | None = None
         self.dropped = 0
         self.counts: Counter[str] = Counter(
             resets=0, frames_split_unsure=0, frames_degraded=0, frames_lost=0
@@ -228,6 +233,11 @@ class Pipeline:
         )
         self._watch_health(result.ego)
         return result
+
+    @property
+    def started(self) -> bool:
+        """Is there an ego source that runs?"""
+        return self._ego is not None
 
     def latest(self) -> EgoEstimate | None:
         """The state carried to the newest IMU sample, between frames; None without a start."""
@@ -301,19 +311,15 @@ class Pipeline:
         self._pending.append(seen)
         self._drop_old_pending()
         with watch.stage("start"):
-            ego = self._start(tuple(self._pending), self._imu)
-            if isinstance(ego, str):
-                self.not_started_because = ego
+            started = self._start(tuple(self._pending), self._imu)
+            if isinstance(started, str):
+                self.not_started_because = started
                 self.counts["frames_before_start"] += 1
                 return None
+            ego, table = started
             if self._resume_at is not None:
                 ego = ego.placed(self._resume_at)
-            while self._pending:
-                earlier = self._pending.popleft()
-                ego = ego.predict(earlier.timestamp_ns, self._imu)
-                table, split = self._split(append_frame(self._table, earlier), earlier, ego)
-                ego, table = ego.correct(table)
-                ego, self._table = ego.forget(table)
+            ego, self._table, split = self._caught_up(ego, table)
             self._ego = ego
         return FrameResult(
             frame=frame,
@@ -324,6 +330,21 @@ class Pipeline:
             milliseconds=watch.milliseconds,
             segment=self.counts["resets"],
         )
+
+    def _caught_up(self, ego: Ego, table: TrackTable) -> tuple[Ego, TrackTable, Split]:
+        """A source that has just started, its table and the split, at the newest pending frame."""
+        newest = self._pending[-1]
+        if newest.timestamp_ns in table.frame_ns:  # the start has used them all
+            table, split = self._split(table, newest, ego)
+            ego, table = ego.forget(table)
+        else:
+            for seen in self._pending:
+                ego = ego.predict(seen.timestamp_ns, self._imu)
+                table, split = self._split(append_frame(table, seen), seen, ego)
+                ego, table = ego.correct(table)
+                ego, table = ego.forget(table)
+        self._pending.clear()
+        return ego, table, split
 
     def _watch_health(self, ego: EgoEstimate) -> None:
         """Count what is not well; where the motion is lost, start again at the last pose."""

@@ -27,6 +27,8 @@ from ovmot.pipeline import STAGES, FrontEnd, Pipeline, Start
 from ovmot.sim.features import FeatureRecording
 from ovmot.types import Event, ImuNoise, ImuSample
 
+_SAY_EVERY_NS = 1_000_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
@@ -67,11 +69,13 @@ def run_sequence(
     settings: Settings,
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
+    on_wait: Callable[[str], None] = lambda _: None,
 ) -> RunSummary:
     """Run, write everything into `options.out`, and say how it went.
 
-    `on_frame` is called with the number of frames read. An error or Ctrl-C in the middle leaves
-    whole rows and a `run.json` that says so, and is raised again.
+    `on_frame` is called with the number of frames read, `on_wait` once a second of the data while
+    there is no start, with the reason. An error or Ctrl-C in the middle leaves whole rows and a
+    `run.json` that says so, and is raised again.
     """
     stream = events(sequence, first=options.first, last=options.last)
     if options.masks is not None:
@@ -90,7 +94,7 @@ def run_sequence(
         counts=Counter(sequence.counts),
         warnings=Counter(sequence.warnings),
     )
-    return _run(source, settings, options, on_frame)
+    return _run(source, settings, options, on_frame, on_wait)
 
 
 def run_features(
@@ -134,7 +138,11 @@ def run_features(
 
 
 def _run(
-    source: _Source, settings: Settings, options: RunOptions, on_frame: Callable[[int], None]
+    source: _Source,
+    settings: Settings,
+    options: RunOptions,
+    on_frame: Callable[[int], None],
+    on_wait: Callable[[str], None] = lambda _: None,
 ) -> RunSummary:
     counts = Counter(source.counts)
     began = time.perf_counter()
@@ -149,9 +157,9 @@ def _run(
     try:
         with writer, closing(source.stream):
             stream = _with_pose(source.stream, source.start, counts)
-            _feed_all(stream, pipeline, writer, counts, on_frame)
+            _feed_all(_saying(stream, pipeline, on_wait), pipeline, writer, counts, on_frame)
             if writer.frames_written == 0:
-                why = pipeline.not_started_because
+                why = pipeline.not_started_because or "no frame was seen"
                 raise OvmotError(f"{source.name}: never started: {why}")
     except KeyboardInterrupt as stop:
         ended, failure = "interrupted", stop
@@ -171,6 +179,7 @@ def _run(
             source=source.identity,
             counts=counts,
             warnings=_warnings(source.warnings, options, counts),
+            not_started_because=pipeline.not_started_because,
             ended=ended,
             wall_seconds=time.perf_counter() - began,
         )
@@ -266,6 +275,25 @@ def _feed_all(
             counts["imu_samples_read"] += 1
         for result in pipeline.feed(event):
             writer.write(result)
+
+
+def _saying(
+    stream: Iterable[Event], pipeline: Pipeline, on_wait: Callable[[str], None]
+) -> Iterator[Event]:
+    """The events; once a second of the data without a start, why there is none is said."""
+    said_ns: int | None = None
+    for event in stream:
+        yield event
+        if isinstance(event, ImuSample):
+            continue
+        if pipeline.started:
+            said_ns = None
+        elif said_ns is None:
+            said_ns = event.timestamp_ns  # a start in the first second needs no words
+        elif event.timestamp_ns - said_ns >= _SAY_EVERY_NS:
+            said_ns = event.timestamp_ns
+            why = pipeline.not_started_because or "no frame is covered by the IMU"
+            on_wait(f"no start at frame {event.timestamp_ns} ns: {why}")
 
 
 def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> Iterator[Event]:

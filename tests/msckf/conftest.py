@@ -7,10 +7,14 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.config import CalibrationSettings
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
+from ovmot.msckf.calibration import make_calibration
+from ovmot.msckf.start_window import StartWindow
 from ovmot.msckf.state import CLONE_SIZE, N_BASE, Clones, ImuState, State
+from ovmot.sim.imu import perfect_imu
 from ovmot.types import FrontendFrame, ImuNoise
 
 START_NS = 1_500_000_000_000_000_000
@@ -163,3 +167,22 @@ def start_error() -> Callable[[ImuState, ImuState], FloatArray]:
         )
 
     return error
+
+
+@pytest.fixture(scope="session")
+def make_window(
+    rig: StereoRig, curvy_path: PoseSpline, start_ns: int
+) -> Callable[..., StartWindow]:
+    """A function (n instants, settings of the calibration) to the true window, 0.1 s apart."""
+
+    def make(n: int, settings: CalibrationSettings | None = None) -> StartWindow:
+        stamps = start_ns + 100_000_000 * np.arange(n)
+        zero = np.zeros(3)
+        imu = perfect_imu(curvy_path, stamps)
+        calibration, _ = make_calibration(rig, settings or CalibrationSettings())
+        return StartWindow(
+            stamps, curvy_path.pose(stamps), curvy_path.velocity(stamps), imu.gyro, zero, zero,
+            0.0, calibration,
+        )  # fmt: skip
+
+    return make

@@ -14,7 +14,17 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.ego import FilterEgo
-from ovmot.msckf.state import POSITION, THETA, VELOCITY, ImuState, State, no_clones
+from ovmot.msckf.state import (
+    POSITION,
+    THETA,
+    VELOCITY,
+    ImuState,
+    State,
+    box_minus,
+    box_plus,
+    no_clones,
+    pose_matrix,
+)
 from ovmot.sim.imu import perfect_imu
 from ovmot.tracks import append_frame, empty_table
 from ovmot.types import FrontendFrame, Health, ImuNoise, ImuSample
@@ -92,6 +102,39 @@ def test_placed_at_a_pose_it_keeps_tilt_speed_and_uncertainty(ego: FilterEgo) ->
     np.testing.assert_allclose(after[THETA, THETA], before[THETA, THETA], atol=1e-15)
     turned = turn @ before[POSITION, POSITION] @ turn.T
     np.testing.assert_allclose(after[POSITION, POSITION], turned, atol=1e-15)
+
+
+def test_a_window_is_placed_as_one_by_its_first_pose(
+    ego: FilterEgo, make_state: Callable[..., State], central_differences: Callable[..., FloatArray]
+) -> None:
+    there = se3.make(so3.exp(np.array([0.1, 0.0, -1.0])), np.array([7.0, -3.0, 1.0]))
+    before = replace(ego, state=make_state(np.random.default_rng(2), 3))
+    after = before.placed(there).state
+    T, was = after.clones.T_world_imu, before.state.clones.T_world_imu
+    np.testing.assert_allclose(T[0, :3, 3], there[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(se3.inverse(T[0]) @ T, se3.inverse(was[0]) @ was, atol=1e-12)
+    np.testing.assert_array_equal(after.clones.T_world_imu_first, T)
+    newest, newest_was = pose_matrix(after.imu), pose_matrix(before.state.imu)
+    np.testing.assert_allclose(
+        se3.inverse(T[0]) @ newest, se3.inverse(was[0]) @ newest_was, atol=1e-12
+    )
+    # the covariance is that of the state turned and shifted, by which place is arbitrary
+    T_new_old = T[0] @ se3.inverse(was[0])
+
+    def moved(error: FloatArray) -> FloatArray:
+        state = box_plus(before.state, error)
+        imu = replace(
+            state.imu,
+            R_world_imu=T_new_old[:3, :3] @ state.imu.R_world_imu,
+            position=se3.apply(T_new_old, state.imu.position),
+            velocity=T_new_old[:3, :3] @ state.imu.velocity,
+        )
+        clones = replace(state.clones, T_world_imu=T_new_old @ state.clones.T_world_imu)
+        return box_minus(replace(state, imu=imu, clones=clones), after)
+
+    P = before.state.covariance
+    G = central_differences(moved, np.zeros(len(P)))
+    np.testing.assert_allclose(after.covariance, G @ P @ G.T, atol=1e-8)
 
 
 def test_the_state_between_frames(

@@ -12,15 +12,15 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf.ego import FilterEgo
-from ovmot.msckf.start_at_rest import StartPrior, start_at_rest
-from ovmot.msckf.state import VELOCITY, Clones, State, box_plus, drop_clone
+from ovmot.msckf.known_start import KnownStart, StartSigmas
+from ovmot.msckf.state import VELOCITY, Clones, ImuState, State, box_plus, drop_clone
 from ovmot.msckf.zero_velocity import (
     prediction_allows_standing,
     standing_measurement,
     zero_velocity_update,
 )
 from ovmot.sim.imu import noisy_imu
-from ovmot.tracks import append_frame, empty_table, mark_suspects
+from ovmot.tracks import append_frame, mark_suspects
 from ovmot.types import FrontendFrame, ImuData, ImuNoise, ImuSample
 
 SETTINGS = ZeroVelocitySettings()
@@ -126,17 +126,22 @@ def drive_forward(
         t = start_ns + 10_000_000 * np.arange(len(speed))
         R = so3.exp(np.array([0.05, -0.1, 0.0]))
         accel = np.gradient(speed, 0.01)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, 9.81]
+        gyro_bias, accel_bias = np.array([0.01, -0.02, 0.015]), np.array([0.03, 0.05, -0.04])
         data = noisy_imu(
             ImuData(t, np.zeros((len(t), 3)), accel @ R), noise, rng,
-            gyro_bias=np.array([0.01, -0.02, 0.015]), accel_bias=np.array([0.03, 0.05, -0.04]),
+            gyro_bias=gyro_bias, accel_bias=accel_bias,
         ).data  # fmt: skip
         buffer = ImuBuffer()
         for stamp, gyro, force in zip(data.timestamp_ns, data.gyro, data.accel, strict=True):
             buffer.append(ImuSample(int(stamp), gyro, force))
-        state = start_at_rest(
-            buffer.between(start_ns, int(t[50])), noise, StartPrior(9.81, 0.0, 0.005, 0.05)
-        )
-        ego, table, out = FilterEgo(state, rig, noise, Settings()), empty_table(), []
+        zero = np.zeros(3)
+        known = KnownStart(
+            int(t[50]), ImuState(R, zero, zero, gyro_bias, accel_bias), StartSigmas(), rig, noise,
+            Settings(),
+        )  # fmt: skip
+        started = known((observe(rig, se3.make(R, zero), landmarks, int(t[50])),), buffer)
+        assert not isinstance(started, str)
+        (ego, table), out = started, []
         movers = np.arange(100) % 20 < 9
         x = np.cumsum(speed) * 0.01
         for k, i in enumerate(range(50, len(t) - 5, round(100 / rate_hz))):

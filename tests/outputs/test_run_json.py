@@ -22,6 +22,7 @@ def summary(ended: str = "finished") -> RunSummary:
         source=InputIdentity("données/seq", "euroc", 161, 3200, 1_403_636_584_763_555_584, None),
         counts={"frames_in": 161, "frames_written": np.int64(146)},  # type: ignore[dict-item]
         warnings={"IMU gap longer than 0.1 s": 2},
+        not_started_because="not at rest: gyroscope varies by 0.1 rad/s",
         ended=ended,
         wall_seconds=4.56789,
     )
@@ -41,6 +42,7 @@ def test_content(tmp_path: Path) -> None:
     }
     assert data["counts"] == {"frames_in": 161, "frames_written": 146}
     assert data["warnings"] == [{"message": "IMU gap longer than 0.1 s", "count": 2}]
+    assert data["not_started_because"] == "not at rest: gyroscope varies by 0.1 rad/s"
     assert data["settings"]["epipolar"] == {"threshold_px": 2.25, "scale": "angle"}
     assert data["versions"]["ovmot"] == ovmot.__version__
     assert data["versions"]["numpy"] == np.__version__

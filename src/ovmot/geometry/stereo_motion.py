@@ -17,6 +17,7 @@ from ovmot.geometry.triangulation import (
 _MAX_HYPOTHESES = 80
 _GATE = 13.3  # 99 % of chi-squared with 4 degrees of freedom
 _JOINT_GATE = 15.1  # 5 degrees: two stereo views of a point
+_MOTION_GATE = 16.3  # 99.9 % of chi-squared with 3 degrees of freedom
 _HUBER = 2.0
 _ITERATIONS = 8
 
@@ -73,6 +74,13 @@ def solve_stereo_motion(
     all_inliers[both] = inlier
     covariance = np.asarray(np.linalg.inv(information), np.float64)
     return StereoMotion(T, covariance, all_inliers)
+
+
+def motion_is_significant(motion: StereoMotion, min_motion_m: float) -> bool:
+    """Is its translation more than `min_motion_m`, and more than its own uncertainty?"""
+    t = motion.T_now_before[:3, 3]
+    distance = float(t @ np.linalg.solve(motion.covariance[3:, 3:], t))
+    return float(np.linalg.norm(t)) > min_motion_m and distance > _MOTION_GATE
 
 
 def _weights(

@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
-from ovmot.geometry import so3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.imu_buffer import ImuBuffer
 from ovmot.msckf import propagation
@@ -20,6 +20,7 @@ from ovmot.msckf.state import (
     POSITION,
     TIME_OFFSET,
     VELOCITY,
+    Clones,
     State,
     drop_clone,
     pose_matrix,
@@ -140,21 +141,37 @@ class FilterEgo:
         return Health.DEGRADED if unaided_s > limits.degraded_after_s else Health.TRACKING
 
     def placed(self, T_world_imu: FloatArray) -> "FilterEgo":
-        """The same filter, which has just started, at this position (4, 4) and heading."""
+        """The same filter, which has just started, its first pose at this position and heading.
+
+        `T_world_imu` (4, 4). Positions and velocities turn about the vertical; rotation errors are
+        the body's and stay.
+        """
         state = self.state
-        R = T_world_imu[:3, :3] @ state.imu.R_world_imu.T
+        T = state.clones.T_world_imu
+        first = T[0] if len(T) else pose_matrix(state.imu)
+        R = T_world_imu[:3, :3] @ first[:3, :3].T
         yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
         turn = so3.exp(np.array([0.0, 0.0, yaw]))
+        T_new_old = se3.make(turn, T_world_imu[:3, 3] - turn @ first[:3, 3])
         imu = replace(
             state.imu,
             R_world_imu=turn @ state.imu.R_world_imu,
-            position=T_world_imu[:3, 3],
+            position=se3.apply(T_new_old, state.imu.position),
             velocity=turn @ state.imu.velocity,
         )
         G = np.eye(len(state.covariance))
         G[POSITION, POSITION] = G[VELOCITY, VELOCITY] = turn
-        covariance = G @ state.covariance @ G.T
-        return replace(self, state=replace(state, imu=imu, imu_first=imu, covariance=covariance))
+        for k in range(len(T)):
+            moved = slice(state.clone_columns(k).start + 3, state.clone_columns(k).stop)
+            G[moved, moved] = turn
+        placed = replace(
+            state,
+            imu=imu,
+            imu_first=imu,
+            clones=Clones(state.clones.timestamp_ns, T_new_old @ T, T_new_old @ T),
+            covariance=G @ state.covariance @ G.T,
+        )
+        return replace(self, state=placed)
 
     def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
         """The state carried by the IMU to a time on its clock, with covariance, between frames.

@@ -21,6 +21,7 @@ from ovmot.msckf.state import (
     State,
     no_clones,
 )
+from ovmot.tracks import TrackTable, empty_table
 from ovmot.types import FrontendFrame, ImuNoise
 
 
@@ -68,8 +69,10 @@ class KnownStart:
         """The IMU time that must be reached before this frame is looked at."""
         return self.imu_time_ns(frame_ns)
 
-    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> FilterEgo | str:
-        """A filter at the first frame's time, or why there is none."""
+    def __call__(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple[FilterEgo, TrackTable] | str:
+        """A filter at the first frame's time that has seen nothing yet, or why there is none."""
         first_ns = frames[0].timestamp_ns
         if first_ns != self.timestamp_ns:
             return f"the known state is at {self.timestamp_ns} ns, the first frame at {first_ns} ns"
@@ -87,4 +90,4 @@ class KnownStart:
             no_clones(), np.diag(variance),
         )  # fmt: skip
         state = with_estimated_parts(state, self.rig, self.settings)
-        return FilterEgo(state, self.rig, self.noise, self.settings)
+        return FilterEgo(state, self.rig, self.noise, self.settings), empty_table()

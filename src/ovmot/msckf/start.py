@@ -1,7 +1,7 @@
-"""How the filter starts: at rest if the rig rests, else in motion."""
+"""How the filter starts: at rest if the rig rests, else in motion; then refined over its window."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,22 +9,57 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.errors import DatasetError
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer
-from ovmot.msckf.ego import FilterEgo, with_estimated_parts
-from ovmot.msckf.start_at_rest import StartPrior, rest_failure, start_at_rest
-from ovmot.msckf.start_in_motion import CannotStart, start_in_motion
-from ovmot.msckf.state import State
-from ovmot.msckf.stillness import still_share
-from ovmot.types import FrontendFrame, ImuData, ImuNoise, followed_pixels
+from ovmot.msckf.calibration import make_calibration
+from ovmot.msckf.ego import FilterEgo
+from ovmot.msckf.landmarks import no_landmarks
+from ovmot.msckf.propagation import INTEGRATORS
+from ovmot.msckf.start_at_rest import (
+    imu_restless,
+    picture_restless,
+    standing_points,
+    start_at_rest,
+)
+from ovmot.msckf.start_factors import (
+    Factor,
+    ImuPieces,
+    imu_factor,
+    preintegrate,
+    prior_factor,
+    rest_factor,
+)
+from ovmot.msckf.start_in_motion import CannotStart, StartPrior, start_in_motion
+from ovmot.msckf.start_refinement import RefinedStart, refine_start, window_pixels
+from ovmot.msckf.start_window import StartWindow, filter_state
+from ovmot.msckf.state import ACCEL_BIAS, GYRO_BIAS, ImuState
+from ovmot.tracks import TrackTable, append_frame, empty_table, mark_used
+from ovmot.types import FrontendFrame, ImuData, ImuNoise
 
 _MIN_REST_FRAMES = 3
-_OFFSET_SIGMAS = 4.0
 _MIN_MOTION_FRAMES = 5
+_SPACING_SLACK = 0.95  # frames do not come to the nanosecond
+_MAX_FEATURES = 600  # of the refinement, those seen longest first
+_MAX_MISFIT = 3.0  # standard deviations, root mean square
+
+
+@dataclass(frozen=True, slots=True)
+class _Guess:
+    """A closed-form start: the state at the first of K instants, poses (K, 4, 4) at all, and the
+    features of the world. `imu_ns` (K,); the last instants are those of `frames`."""
+
+    first: ImuState
+    T_world_imu: FloatArray
+    imu_ns: IntArray
+    frames: Sequence[FrontendFrame]
+    feature_id: IntArray
+    resting: bool
 
 
 @dataclass(frozen=True, slots=True)
 class FilterStart:
-    """Looks at the frames seen so far and the IMU; gives a filter at the first of them."""
+    """Looks at the frames seen so far and the IMU; gives a filter at the last of them."""
 
     rig: StereoRig
     noise: ImuNoise
@@ -35,84 +70,181 @@ class FilterStart:
         return frame_ns + round(self.rig.time_offset_s * 1e9)
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that must be reached before this frame is looked at.
+        """The IMU time that must be reached before this frame is looked at."""
+        return self.imu_time_ns(frame_ns)
 
-        A little more than the frame's own: the filter may move the time offset while it goes
-        through the frames it was started on.
-        """
-        return self.imu_time_ns(frame_ns) + round(
-            1e9 * _OFFSET_SIGMAS * self._prior().time_offset_sigma_s
-        )
-
-    def __call__(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> FilterEgo | str:
-        """A filter whose state is at the first frame's time, or why there is none yet."""
-        reason = "too few frames"
+    def __call__(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple[FilterEgo, TrackTable] | str:
+        """A filter whose state is at the last frame's time, with the window's poses as clones and
+        the table of what they saw, or why there is none yet."""
+        why, kind = "", "at rest"
         try:
-            resting = self._at_rest(frames, imu)
-            if isinstance(resting, State):
-                return self._filter(resting)
-            reason = f"not at rest: {resting}"
-            window_s = self.settings.initialization.motion_window_s
-            if self._span_s(frames) < window_s:
-                return f"{reason}; in motion: needs {window_s:g} s of frames"
-            moving = self._in_motion(frames, imu)
-            return self._filter(moving)
+            guess = self._at_rest(frames, imu)
+            if isinstance(guess, str):
+                why, kind = f"not at rest: {guess}; ", "in motion"
+                guess = self._in_motion(frames, imu)
+            return self._started(guess, imu)
         except (CannotStart, DatasetError, np.linalg.LinAlgError) as error:
-            reason = f"{reason}; in motion: {error}"
-        return reason
+            return f"{why}{kind}: {error}"
 
-    def _filter(self, state: State) -> FilterEgo:
-        state = with_estimated_parts(state, self.rig, self.settings)
-        return FilterEgo(state, self.rig, self.noise, self.settings)
-
-    def _at_rest(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State | str:
+    def _at_rest(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> _Guess | str:
         settings = self.settings.initialization
         now = self.imu_time_ns(frames[-1].timestamp_ns)
         first = imu.first_ns
         begin = now - round(1e9 * settings.window_s)
         if len(frames) < _MIN_REST_FRAMES or first is None or first > begin:
             return f"fewer than {_MIN_REST_FRAMES} frames over {settings.window_s:g} s of IMU"
-        start = self.imu_time_ns(frames[0].timestamp_ns)
-        samples = imu.between(min(begin, start), now)
-        failure = rest_failure(samples, _share(frames, settings.rest_pixel), settings)
+        begin = min(begin, self.imu_time_ns(frames[0].timestamp_ns))
+        samples = imu.between(begin, now)
+        points = standing_points(frames[0], frames[-1], self.rig, settings.rest_pixel)
+        failure = imu_restless(samples, settings) or picture_restless(points, settings)
         if failure is not None:
             return failure
-        state = start_at_rest(samples, self.noise, self._prior())
-        return _at_time(state, start)
+        state = start_at_rest(samples)
+        nodes = [frames[k] for k in self._spaced(frames)]
+        stamps = [self.imu_time_ns(f.timestamp_ns) for f in nodes]
+        if begin < stamps[0]:
+            stamps = [begin, *stamps]  # the rest before the first frame counts as well
+        T = np.broadcast_to(se3.make(state.R_world_imu, state.position), (len(stamps), 4, 4))
+        return _Guess(state, T, np.array(stamps), nodes, points.feature_id, resting=True)
 
-    def _in_motion(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> State:
+    def _in_motion(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> _Guess:
+        settings = self.settings
+        window_s = settings.initialization.motion_window_s
+        span_s = (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
+        if span_s < window_s:
+            raise CannotStart(f"{span_s:.2f} s of frames (needs {window_s:g} s)")
         if len(frames) < _MIN_MOTION_FRAMES:
             raise CannotStart(f"only {len(frames)} frames (at least {_MIN_MOTION_FRAMES})")
         stamps = [self.imu_time_ns(f.timestamp_ns) for f in frames]
         pieces: list[ImuData] = [imu.between(a, b) for a, b in pairwise(stamps)]
-        return start_in_motion(frames, pieces, self.rig, self.noise, self._prior())
-
-    def _prior(self) -> StartPrior:
-        known = self.settings.filter
-        return StartPrior(
-            gravity=known.gravity_mps2,
-            time_offset_s=self.rig.time_offset_s,
-            time_offset_sigma_s=known.time_offset_sigma_s if known.estimate_time_offset else 0.0,
-            accel_bias_sigma=self.settings.initialization.accel_bias_sigma_mps2,
+        prior = StartPrior(
+            settings.filter.gravity_mps2, settings.initialization.accel_bias_sigma_mps2
         )
+        start = start_in_motion(frames, pieces, self.rig, self.noise, prior)
+        chosen = self._spaced(frames)
+        return _Guess(
+            start.first, start.T_world_imu[chosen], np.array(stamps)[chosen],
+            [frames[k] for k in chosen], start.feature_id, resting=False,
+        )  # fmt: skip
 
-    @staticmethod
-    def _span_s(frames: Sequence[FrontendFrame]) -> float:
-        return (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
+    def _started(self, guess: _Guess, imu: ImuBuffer) -> tuple[FilterEgo, TrackTable]:
+        """The refined filter, and the table in which what it used is marked."""
+        left = self._left_to_filter(guess)
+        refined = self._refined(guess, np.setdiff1d(guess.feature_id, left), imu)
+        if max(refined.factor_misfit, refined.pixel_misfit) > _MAX_MISFIT:
+            raise CannotStart(
+                f"IMU and images of the window are off by {refined.factor_misfit:.1f} and"
+                f" {refined.pixel_misfit:.1f} sigma (at most {_MAX_MISFIT:g})"
+            )
+        frames = guess.frames
+        blind = len(guess.imu_ns) - len(frames)  # instants before the first frame
+        kept = np.arange(len(frames))[-self.settings.filter.max_clones :]
+        clone_ns = np.array([frames[k].timestamp_ns for k in kept])
+        state = filter_state(
+            refined.window, refined.covariance, blind + kept, clone_ns, self.rig.time_offset_s
+        )
+        state = replace(
+            state,
+            covariance=state.covariance + self._bias_walk(guess, len(state.covariance)),
+            landmarks=no_landmarks(self.settings.filter.landmark_representation),
+        )
+        ego = FilterEgo(
+            state, self.rig, self.noise, self.settings, guess.resting, frames[-1].timestamp_ns
+        )
+        return ego, _table_of(frames, clone_ns, left)
+
+    def _bias_walk(self, guess: _Guess, size: int) -> FloatArray:
+        """How far the biases, one for the whole window, may have walked at its end (N, N)."""
+        span_s = (guess.imu_ns[-1] - guess.imu_ns[0]) * 1e-9
+        variance = np.zeros(size)
+        variance[GYRO_BIAS] = self.noise.gyro_walk**2 * span_s
+        variance[ACCEL_BIAS] = self.noise.accel_walk**2 * span_s
+        return np.diag(variance)
+
+    def _refined(self, guess: _Guess, feature_id: IntArray, imu: ImuBuffer) -> RefinedStart:
+        """The guess refined by the IMU and what its frames saw of some features."""
+        settings = self.settings
+        gravity, sigma_s = settings.filter.gravity_mps2, self._offset_sigma_s()
+        accel_bias_sigma = settings.initialization.accel_bias_sigma_mps2
+        cuts = [imu.between(int(a), int(b)) for a, b in pairwise(guess.imu_ns)]
+        unseen = [imu.spacing_s(c) > settings.imu.max_gap_s for c in cuts]
+        pieces = ImuPieces(cuts, unseen, self.noise, INTEGRATORS[settings.filter.integration])
+        calibration, variance = make_calibration(self.rig, settings.calibration)
+        gyro = np.array([cuts[0].gyro[0], *(c.gyro[-1] for c in cuts)])
+        window = StartWindow(
+            guess.imu_ns, guess.T_world_imu, np.zeros((len(gyro), 3)), gyro,
+            guess.first.gyro_bias, guess.first.accel_bias, 0.0, calibration,
+        )  # fmt: skip
+        window = _with_velocities(window, guess.first.velocity, pieces, gravity)
+
+        def factors(at: StartWindow) -> list[Factor]:
+            known = [
+                imu_factor(at, pieces, gravity),
+                prior_factor(at, accel_bias_sigma, sigma_s, variance),
+            ]
+            return [*known, rest_factor(at)] if guess.resting else known
+
+        pixels = window_pixels(guess.frames, feature_id, _MAX_FEATURES)
+        blind = np.full((len(pixels), len(gyro) - len(guess.frames), 4), np.nan)
+        return refine_start(
+            window, factors, np.concatenate([blind, pixels], axis=1), self.rig, settings.filter,
+            offset_is_free=sigma_s > 0.0,
+        )  # fmt: skip
+
+    def _left_to_filter(self, guess: _Guess) -> IntArray:
+        """Features that the refinement does not use, and the filter therefore may.
+
+        Those that will become landmarks: of the features still seen, the ones seen longest. Their
+        tracks reach over the end of the window, and are worth more whole. At rest it is all of
+        them: images of a rig that stands add nothing to its rest.
+        """
+        frames = guess.frames
+        if guess.resting:
+            return np.unique(np.concatenate([f.feature_id for f in frames]))
+        alive = frames[-1].feature_id
+        views = np.sum([np.isin(alive, f.feature_id) for f in frames], axis=0)
+        longest = np.argsort(-views, kind="stable")[: self.settings.filter.max_landmarks]
+        return np.asarray(alive[longest])
+
+    def _spaced(self, frames: Sequence[FrontendFrame]) -> list[int]:
+        """The first and the last frame, and those between that are `clone_spacing_s` apart."""
+        step_ns = _SPACING_SLACK * 1e9 * self.settings.filter.clone_spacing_s
+        last = len(frames) - 1
+        out = [0]
+        for k in range(1, last):
+            since = frames[k].timestamp_ns - frames[out[-1]].timestamp_ns
+            left = frames[last].timestamp_ns - frames[k].timestamp_ns
+            if min(since, left) >= step_ns:
+                out.append(k)
+        return [*out, last]
+
+    def _offset_sigma_s(self) -> float:
+        known = self.settings.filter
+        return known.time_offset_sigma_s if known.estimate_time_offset else 0.0
 
 
-def _share(frames: Sequence[FrontendFrame], pixel: float) -> float:
-    """Share of the features of both ends of the window that stand still in their image."""
-    first, last = frames[0], frames[-1]
-    _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
-    everything = np.ones(len(a), dtype=np.bool_)
-    now, then = followed_pixels(last.pixels[b]), followed_pixels(first.pixels[a])
-    return still_share(now, then, everything, pixel)
+def _with_velocities(
+    window: StartWindow, first: FloatArray, pieces: ImuPieces, gravity: float
+) -> StartWindow:
+    """The window with velocities (K, 3) carried on by the IMU from that of the first instant."""
+    velocity = [first]
+    motions = preintegrate(window, pieces)
+    for R, motion, span_ns in zip(
+        window.T_world_imu[:-1, :3, :3], motions, np.diff(window.imu_ns), strict=True
+    ):
+        gained = R @ motion.imu.velocity - np.array([0.0, 0.0, gravity * 1e-9 * span_ns])
+        velocity.append(velocity[-1] + gained)
+    return replace(window, velocity=np.array(velocity))
 
 
-def _at_time(state: State, timestamp_ns: int) -> State:
-    """The same resting state at another time of the rest."""
-    return State(
-        timestamp_ns, state.imu, state.imu_first, state.time_offset_s, state.clones,
-        state.covariance,
-    )  # fmt: skip
+def _table_of(frames: Sequence[FrontendFrame], clone_ns: IntArray, left: IntArray) -> TrackTable:
+    """The table of the frames that are clones. What the refinement has used is marked; of the
+    features `left` it used none, and one view alone tells nothing."""
+    table = empty_table()
+    for frame in frames:
+        if frame.timestamp_ns in clone_ns:
+            table = append_frame(table, frame)
+    spent = (table.seen.sum(axis=0) > 1) & ~np.isin(table.feature_id, left)
+    return mark_used(table, table.seen & spent)

@@ -4,42 +4,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.config import InitializationSettings
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.msckf.state import (
-    ACCEL_BIAS,
-    GYRO_BIAS,
-    N_BASE,
-    POSITION,
-    THETA,
-    TIME_OFFSET,
-    VELOCITY,
-    ImuState,
-    State,
-    no_clones,
-)
-from ovmot.msckf.update import ekf_update
-from ovmot.types import ImuData, ImuNoise
+from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
+from ovmot.msckf.start_bodies import PIXEL_SIGMA, plane_sigma, space_filled
+from ovmot.msckf.state import ImuState
+from ovmot.types import FrontendFrame, ImuData, followed_pixels
 
-GAUGE_SIGMA = 1e-5  # yaw and position are zero by definition
-_TILT_SIGMA = 0.1  # rad, before gravity is used
-_REST_SPEED_SIGMA = 0.02  # m/s
+_MIN_POINTS = 8
+_ROTATION_SIGMA = 0.01  # rad over the window, of a rig whose gyroscope is quiet
+_MIN_MOTION_M = 0.01  # less is a body rocking on its springs
 
 
 @dataclass(frozen=True, slots=True)
-class StartPrior:
-    """What a start knows beforehand: gravity in m/s², the time offset and its standard deviation
-    in seconds, and the standard deviation of the accelerometer bias in m/s²."""
+class StandingPoints:
+    """Features (N,) that kept their place over a window, their share of those in both its ends.
 
-    gravity: float
-    time_offset_s: float
-    time_offset_sigma_s: float
-    accel_bias_sigma: float
+    `space` is how much room they fill and `moving_space` how much those that move together most
+    do, 0 where none do; see `space_filled`.
+    """
+
+    feature_id: IntArray
+    share: float
+    space: int
+    moving_space: int
 
 
-def rest_failure(imu: ImuData, still_share: float, settings: InitializationSettings) -> str | None:
-    """Why the rig can not be said to rest, or None if it can."""
+def imu_restless(imu: ImuData, settings: InitializationSettings) -> str | None:
+    """Why the IMU says that the rig can not rest, or None."""
     gyro, accel = float(imu.gyro.std(0).max()), float(imu.accel.std(0).max())
     if gyro > settings.rest_gyro_rps:
         return f"gyroscope varies by {gyro:.3f} rad/s (at rest below {settings.rest_gyro_rps:g})"
@@ -47,42 +41,66 @@ def rest_failure(imu: ImuData, still_share: float, settings: InitializationSetti
         return (
             f"accelerometer varies by {accel:.3f} m/s² (at rest below {settings.rest_accel_mps2:g})"
         )
-    if still_share < settings.rest_share:
+    return None
+
+
+def standing_points(
+    first: FrontendFrame, last: FrontendFrame, rig: StereoRig, pixel: float
+) -> StandingPoints:
+    """The features that moved less than `pixel` in their image from one frame to another."""
+    _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
+    moved = followed_pixels(last.pixels[b]) - followed_pixels(first.pixels[a])
+    still = np.linalg.norm(moved, axis=1) < pixel
+    if len(a) < _MIN_POINTS:
+        return StandingPoints(last.feature_id[b[still]], 0.0, 0, 0)
+    before, now = first.normalized[a], last.normalized[b]
+    # A creep is a motion of all, though few points show it; a drive behind a truck one of the rest.
+    everything = np.ones(len(a), dtype=np.bool_)
+    moving_space = max(_moving_space(before[c], now[c], rig) for c in (everything, ~still))
+    return StandingPoints(
+        last.feature_id[b[still]],
+        float(still.mean()),
+        space_filled(before[still], rig),
+        moving_space,
+    )
+
+
+def _moving_space(before: FloatArray, now: FloatArray, rig: StereoRig) -> int:
+    """Room filled by those of stereo points (N, 4) that move together, 0 where they do not move."""
+    sigma = plane_sigma(rig, PIXEL_SIGMA)
+    motion = solve_stereo_motion(before, now, rig.T_cam1_cam0, np.eye(3), sigma, _ROTATION_SIGMA)
+    if motion is None or not motion_is_significant(motion, _MIN_MOTION_M):
+        return 0
+    return space_filled(before[motion.inlier], rig)
+
+
+def picture_restless(points: StandingPoints, settings: InitializationSettings) -> str | None:
+    """Why the picture says that the rig can not rest, or None.
+
+    Traffic may fill most of the view of a rig that rests, and a car ahead at our speed stands in a
+    view that moves. What fills more room is the world.
+    """
+    if points.share < settings.rest_share:
         return (
-            f"only {100 * still_share:.0f} % of the points stand still"
+            f"only {100 * points.share:.0f} % of the points stand still"
             f" (at rest at least {100 * settings.rest_share:.0f} %)"
+        )
+    if points.moving_space >= max(points.space, 1):
+        return (
+            f"what moves together fills {points.moving_space} cells of space,"
+            f" what stands still {points.space} (at rest more)"
         )
     return None
 
 
-def start_at_rest(imu: ImuData, noise: ImuNoise, prior: StartPrior) -> State:
-    """The state at the last sample of a resting IMU, with yaw and position zero.
+def start_at_rest(imu: ImuData) -> ImuState:
+    """The state of a resting IMU, with yaw, position and velocity zero.
 
-    The mean specific force levels the
-    rig and, as a measurement a = Rᵀ(0, 0, g) + b_a, ties tilt and accelerometer bias together.
+    The mean specific force levels the rig, the mean rate is the gyro bias. Tilt and accelerometer
+    bias cannot be told apart: the bias is taken as zero.
     """
-    force, rate = imu.accel.mean(0), imu.gyro.mean(0)
-    span = float((imu.timestamp_ns[-1] - imu.timestamp_ns[0]) * 1e-9)
-    R_world_imu = _level(force)
     zero = np.zeros(3)
-    state = ImuState(R_world_imu, zero, zero, rate, zero)
-    up_body = R_world_imu.T @ np.array([0.0, 0.0, 1.0])
-    P = np.zeros((N_BASE, N_BASE))
-    tilt = np.eye(3) - np.outer(up_body, up_body)
-    P[THETA, THETA] = _TILT_SIGMA**2 * tilt + GAUGE_SIGMA**2 * np.outer(up_body, up_body)
-    P[POSITION, POSITION] = GAUGE_SIGMA**2 * np.eye(3)
-    P[VELOCITY, VELOCITY] = _REST_SPEED_SIGMA**2 * np.eye(3)
-    P[GYRO_BIAS, GYRO_BIAS] = (noise.gyro**2 / span + noise.gyro_walk**2 * span + 1e-10) * np.eye(3)
-    P[ACCEL_BIAS, ACCEL_BIAS] = prior.accel_bias_sigma**2 * np.eye(3)
-    P[TIME_OFFSET, TIME_OFFSET] = prior.time_offset_sigma_s**2
-    start = State(int(imu.timestamp_ns[-1]), state, state, prior.time_offset_s, no_clones(), P)
-    levelled = ekf_update(
-        start, *_gravity_measurement(start, force, prior.gravity, noise.accel**2 / span)
-    )
-    return State(
-        levelled.timestamp_ns, levelled.imu, levelled.imu, levelled.time_offset_s,
-        levelled.clones, levelled.covariance,
-    )  # fmt: skip
+    return ImuState(_level(imu.accel.mean(0)), zero, zero, imu.gyro.mean(0), zero)
 
 
 def _level(force: FloatArray) -> FloatArray:
@@ -90,14 +108,3 @@ def _level(force: FloatArray) -> FloatArray:
     R = so3.between_vectors(force, np.array([0.0, 0.0, 1.0]))
     yaw = np.arctan2(R[1, 0], R[0, 0])
     return so3.exp(np.array([0.0, 0.0, -yaw])) @ R
-
-
-def _gravity_measurement(
-    state: State, force: FloatArray, gravity: float, variance: float
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
-    """H, columns, residual, variance of a = Rᵀ g_up + b_a; ∂(Rᵀ u)/∂θ = [Rᵀ u]x."""
-    up = state.imu.R_world_imu.T @ np.array([0.0, 0.0, gravity])
-    H = np.concatenate([so3.hat(up), np.eye(3)], axis=1)
-    columns = np.r_[np.arange(0, 3), np.arange(12, 15)]
-    residual = force - up - state.imu.accel_bias
-    return H, columns, residual, np.full(3, variance + 1e-6)

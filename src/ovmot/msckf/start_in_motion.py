@@ -14,33 +14,22 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
 from ovmot.imu_buffer import integrated_rotation
 from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
-from ovmot.msckf.start_at_rest import GAUGE_SIGMA, StartPrior
-from ovmot.msckf.state import (
-    ACCEL_BIAS,
-    GYRO_BIAS,
-    N_BASE,
-    N_IMU,
-    POSITION,
-    THETA,
-    TIME_OFFSET,
-    VELOCITY,
-    ImuState,
-    State,
-    no_clones,
-)
+from ovmot.msckf.start_bodies import PIXEL_SIGMA, plane_sigma, space_filled
+from ovmot.msckf.state import ACCEL_BIAS, GYRO_BIAS, N_IMU, POSITION, THETA, ImuState
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 
 _GYRO_BIAS_SIGMA = 0.05  # rad/s, prior
 _ROTATION_SIGMA = 0.01  # rad, of the gyro's rotation between two frames, bias unknown
-_PIXEL_SIGMA = 1.0
 _MIN_STEP_SIGMA = 0.003  # m, per frame
 _MAX_GRAVITY_ERROR = 1.5  # m/s², of the free solution
+_MAX_BODIES = 3
 _MAX_MISFIT = 2.0  # standard deviations, root mean square
 _INFLATION = 2.0  # on the path's standard deviations: its errors are not independent
+_NOTHING = np.empty(0, dtype=np.int64)
 
 
 class CannotStart(Exception):  # noqa: N818 - no fault of anyone: the filter waits on
@@ -48,11 +37,33 @@ class CannotStart(Exception):  # noqa: N818 - no fault of anyone: the filter wai
 
 
 @dataclass(frozen=True, slots=True)
+class StartPrior:
+    """Gravity in m/s² and the standard deviation of the accelerometer bias in m/s²."""
+
+    gravity: float
+    accel_bias_sigma: float
+
+
+@dataclass(frozen=True, slots=True)
 class StereoPath:
-    """IMU poses T_start_k (K, 4, 4) of the window in its first frame, and position sigmas (K,)."""
+    """IMU poses T_start_k (K, 4, 4) of the window in its first frame, and position sigmas (K,).
+
+    `feature_id`: the features that moved along.
+    """
 
     T_start_imu: FloatArray
     sigma: FloatArray
+    feature_id: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class MotionStart:
+    """The state `first` at the window's first frame, poses T_world_imu (K, 4, 4) at all, and the
+    features of the world."""
+
+    first: ImuState
+    T_world_imu: FloatArray
+    feature_id: IntArray
 
 
 def start_in_motion(
@@ -61,12 +72,41 @@ def start_in_motion(
     rig: StereoRig,
     noise: ImuNoise,
     prior: StartPrior,
-) -> State:
-    """The state at the first of K frames, from their features and the K - 1 IMU pieces between.
+) -> MotionStart:
+    """A start from the features of K frames and the K - 1 IMU pieces between.
 
-    Raises `CannotStart` when the images give no motion or the two do not fit together.
+    Not the majority of the points decides what the rig moves against: bodies that move alike are
+    tried, the largest first, and of those whose motion the IMU has felt the one that fills most
+    room is the world. Raises `CannotStart` when the images give no motion or none fits the IMU.
     """
-    path = stereo_path(frames, imu, rig)
+    found: list[tuple[int, MotionStart]] = []
+    reasons: list[str] = []
+    others = np.empty(0, dtype=np.int64)
+    for _ in range(_MAX_BODIES):
+        try:
+            path = stereo_path(frames, imu, rig, others)
+        except CannotStart as error:
+            reasons.append(str(error))
+            break
+        try:
+            start = fit_path(path, imu, noise, prior)
+        except CannotStart as error:
+            reasons.append(str(error))
+        else:
+            found.append((_space(frames, path.feature_id, rig), start))
+        others = np.union1d(others, path.feature_id)
+    if not found:
+        raise CannotStart("; another body: ".join(reasons))
+    return max(found, key=lambda candidate: candidate[0])[1]
+
+
+def fit_path(
+    path: StereoPath, imu: Sequence[ImuData], noise: ImuNoise, prior: StartPrior
+) -> MotionStart:
+    """Velocity, gravity and biases by which the IMU would have felt this path.
+
+    Raises `CannotStart` when gravity comes out wrong or the two do not fit together.
+    """
     bias = _gyro_bias(path, imu, noise)
     pieces = _integrate_from_start(imu, bias, noise)
     t = np.array([(i.timestamp_ns[-1] - imu[0].timestamp_ns[0]) * 1e-9 for i in imu])
@@ -84,32 +124,53 @@ def start_in_motion(
         raise CannotStart(
             f"IMU and stereo motion differ by {fit.misfit:.1f} sigma (at most {_MAX_MISFIT:g})"
         )
-    return _state_at_start(fit, bias, int(imu[0].timestamp_ns[0]), float(t[-1]), prior)
+    R = _level(fit.gravity)
+    zero = np.zeros(3)
+    first = ImuState(R, zero, R @ fit.velocity, bias, fit.accel_bias)
+    return MotionStart(first, se3.make(R, zero) @ path.T_start_imu, path.feature_id)
 
 
 def stereo_path(
-    frames: Sequence[FrontendFrame], imu: Sequence[ImuData], rig: StereoRig
+    frames: Sequence[FrontendFrame],
+    imu: Sequence[ImuData],
+    rig: StereoRig,
+    others: IntArray = _NOTHING,
 ) -> StereoPath:
-    """Chain the stereo motion of consecutive frames; the gyroscope proposes each rotation."""
+    """Chain the stereo motion of consecutive frames; the gyroscope proposes each rotation.
+
+    Features (N,) of `others` are left out, and from each step on those that did not move along:
+    the path stays with one body.
+    """
     R_cam_imu = rig.T_imu_cam0[:3, :3].T
-    f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
-    sigma_plane = _PIXEL_SIGMA / np.array([f0[0], f0[1], f1[0], f1[1]])
+    sigma = plane_sigma(rig, PIXEL_SIGMA)
     T_start_cam = [np.eye(4)]
     variance = [0.0]
+    ids = np.empty(0, dtype=np.int64)
     for before, now, samples in zip(frames[:-1], frames[1:], imu, strict=True):
-        _, a, b = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
+        seen, a, b = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
+        left = ~np.isin(seen, others)
+        seen, a, b = seen[left], a[left], b[left]
         R = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
         motion = solve_stereo_motion(
-            before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma_plane,
-            _ROTATION_SIGMA,
-        )  # fmt: skip
+            before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma, _ROTATION_SIGMA
+        )
         if motion is None:
             raise CannotStart(f"no common stereo motion among {len(a)} tracked points")
+        in_stereo = np.isfinite(before.normalized[a] + now.normalized[b]).all(axis=1)
+        others = np.union1d(others, seen[in_stereo & ~motion.inlier])
+        ids = np.union1d(ids, seen[motion.inlier])
         T_start_cam.append(T_start_cam[-1] @ se3.inverse(motion.T_now_before))
         spread = float(np.trace(motion.covariance[3:, 3:])) / 3.0
         variance.append(variance[-1] + spread + _MIN_STEP_SIGMA**2)
     T = rig.T_imu_cam0 @ np.array(T_start_cam) @ se3.inverse(rig.T_imu_cam0)
-    return StereoPath(T, _INFLATION * np.sqrt(np.array(variance)))
+    ids = np.setdiff1d(ids, others)
+    return StereoPath(T, _INFLATION * np.sqrt(np.array(variance)), ids)
+
+
+def _space(frames: Sequence[FrontendFrame], feature_id: IntArray, rig: StereoRig) -> int:
+    """How much room these features fill in the middle frame."""
+    middle = frames[len(frames) // 2]
+    return space_filled(middle.normalized[np.isin(middle.feature_id, feature_id)], rig)
 
 
 def _integrate_from_start(
@@ -156,14 +217,12 @@ def _solve_free(moved: FloatArray, t: FloatArray, sigma: FloatArray) -> FloatArr
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """Velocity, gravity, accelerometer bias in the start frame; covariance (8, 8) over
-    (tilt along `basis` (3, 2), velocity, bias); root mean square misfit in sigmas."""
+    """Velocity, gravity, accelerometer bias in the start frame; root mean square misfit in
+    sigmas."""
 
     velocity: FloatArray
     gravity: FloatArray
     accel_bias: FloatArray
-    basis: FloatArray
-    covariance: FloatArray
     misfit: float
 
 
@@ -179,7 +238,6 @@ def _solve_with_gravity(
     g = gravity_start * prior.gravity / np.linalg.norm(gravity_start)
     v, ba = np.zeros(3), np.zeros(3)
     weight = 1.0 / sigma**2
-    N, B = np.eye(8), np.zeros((3, 2))
     for _ in range(5):
         B = np.linalg.svd(g[None])[2][1:].T
         J = np.zeros((len(t), 3, 8))
@@ -196,27 +254,11 @@ def _solve_with_gravity(
         v, ba = v + step[2:5], ba + step[5:]
     r = moved - t[:, None] * v - 0.5 * (t**2)[:, None] * g - by_bias @ ba
     misfit = float(np.sqrt(np.mean((r / sigma[:, None]) ** 2)))
-    covariance = np.asarray(np.linalg.inv(N), np.float64)
-    return _Fit(v, g, ba, B, covariance, misfit)
+    return _Fit(v, g, ba, misfit)
 
 
-def _state_at_start(
-    fit: _Fit, gyro_bias: FloatArray, start_ns: int, span: float, prior: StartPrior
-) -> State:
-    """World with gravity along -z; the tilt g_true = exp(B τ) g is the rotation error δθ = -B τ."""
-    R = so3.between_vectors(fit.gravity, np.array([0.0, 0.0, -1.0]))
+def _level(gravity: FloatArray) -> FloatArray:
+    """Rotation (3, 3) that turns gravity to -z, with zero yaw of the x axis."""
+    R = so3.between_vectors(gravity, np.array([0.0, 0.0, -1.0]))
     yaw = np.arctan2(R[1, 0], R[0, 0])
-    R = so3.exp(np.array([0.0, 0.0, -yaw])) @ R
-    imu = ImuState(R, np.zeros(3), R @ fit.velocity, gyro_bias, fit.accel_bias)
-    J = np.zeros((N_BASE, 8))
-    J[THETA, :2] = -fit.basis
-    J[VELOCITY, :2] = R @ so3.hat(fit.velocity) @ fit.basis
-    J[VELOCITY, 2:5] = R
-    J[ACCEL_BIAS, 5:] = np.eye(3)
-    P = J @ fit.covariance @ J.T
-    down = fit.gravity / np.linalg.norm(fit.gravity)
-    P[THETA, THETA] += GAUGE_SIGMA**2 * np.outer(down, down) + 1e-8 * np.eye(3)
-    P[POSITION, POSITION] += GAUGE_SIGMA**2 * np.eye(3)
-    P[GYRO_BIAS, GYRO_BIAS] += (_INFLATION * 0.004 / span) ** 2 * np.eye(3)
-    P[TIME_OFFSET, TIME_OFFSET] = prior.time_offset_sigma_s**2
-    return State(start_ns, imu, imu, prior.time_offset_s, no_clones(), P)
+    return so3.exp(np.array([0.0, 0.0, -yaw])) @ R

@@ -9,7 +9,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ZeroVelocitySettings
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
 from ovmot.tracks import TrackTable
 from ovmot.types import followed_pixels
 
@@ -18,7 +18,6 @@ _MAX_POINTS = 60
 _PIXEL_SIGMA = 0.5  # of a stereo match, for the metric motion
 _ROTATION_SIGMA = 1e-3  # rad over the look-back, if the rig stands
 _MIN_MOTION_M = 0.01  # less is a body rocking on its springs
-_MOTION_GATE = 16.3  # 99.9 % of chi-squared with 3 degrees of freedom
 
 
 def still_share(
@@ -66,6 +65,4 @@ def _has_moved(before: FloatArray, now: FloatArray, rig: StereoRig) -> bool:
     )
     if motion is None:
         return False  # too few stereo points to say
-    t = motion.T_now_before[:3, 3]
-    distance = float(t @ np.linalg.solve(motion.covariance[3:, 3:], t))
-    return float(np.linalg.norm(t)) > _MIN_MOTION_M and distance > _MOTION_GATE
+    return motion_is_significant(motion, _MIN_MOTION_M)

@@ -41,8 +41,9 @@ class RunSummary:
     `options` is what it was asked beside the settings; `imu_noise` is what the filter used, from
     the settings, the data or the fallback.
     `counts` by name (frames_in, frames_written, imu_samples, resets, frames_dropped, ...);
-    `warnings` says how often each was given; `ended` is `finished`, `interrupted` or
-    `failed: <message>`; `wall_seconds` is how long it took.
+    `not_started_because`: the last reason for which the ego motion could not start at a frame, None
+    where it always could. `warnings` says how often each was given; `ended` is `finished`,
+    `interrupted` or `failed: <message>`; `wall_seconds` is how long it took.
     """
 
     settings: Settings
@@ -51,6 +52,7 @@ class RunSummary:
     source: InputIdentity
     counts: Mapping[str, int]
     warnings: Mapping[str, int]
+    not_started_because: str | None
     ended: str
     wall_seconds: float
 
@@ -96,6 +98,7 @@ def _as_json(summary: RunSummary) -> dict[str, Any]:
         "warnings": [
             {"message": message, "count": int(count)} for message, count in summary.warnings.items()
         ],
+        "not_started_because": summary.not_started_because,
         "options": dict(summary.options),
         "settings": summary.settings.model_dump(mode="json"),
         "imu_noise": None if summary.imu_noise is None else asdict(summary.imu_noise),
