@@ -25,6 +25,7 @@ from ovmot.objects.comparison_kernel import (
     weigh_compiled,
 )
 from ovmot.objects.components_kernel import components_compiled
+from ovmot.objects.id_sets import contained
 from ovmot.tracks import TrackTable
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -320,9 +321,10 @@ def _near_pairs(scaled: FloatArray, radius: float) -> IntArray:
     found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=radius)
     apart, other = np.asarray(found[0]), np.asarray(found[1])
     a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
-    near = np.zeros((n, n), dtype=np.bool_)
-    near[a, other[:, 1:][a, slot]] = True
-    return np.argwhere(np.triu(near & near.T, 1))
+    link = np.sort(a * n + other[:, 1:][a, slot])  # from k to m: k n + m
+    start, end = np.divmod(link, n)
+    mutual = (start < end) & contained(end * n + start, link)
+    return np.column_stack([start[mutual], end[mutual]])
 
 
 def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:

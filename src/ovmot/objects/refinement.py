@@ -89,22 +89,24 @@ def refine_bodies(
     huber = np.sqrt(chdtri(freedom, _HUBER_SHARE))
     bound = chdtri(freedom, _OUTLIER_SHARE)
     point = np.column_stack([p_cam0[:, :2], np.ones(len(p_cam0))]) / p_cam0[:, 2:]
+    held = np.eye(6) * (prior[:, None] + 1e-6)
     for iteration in range(_ITERATIONS):
         # Points far off now may only wait for a better motion: none is left out at first.
         wide = iteration < _WIDE_ITERATIONS
         reduced = reduce_points_compiled(
             point, twist, sightings, huber, 9.0 * bound if wide else bound
         )
-        information = reduced.information + np.eye(6) * (prior[:, None] + 1e-6)
-        step = np.linalg.solve(information, (reduced.gradient - prior * twist)[..., None])[..., 0]
-        follow = reduced.shift - (step[views.body, None] @ reduced.K)[:, 0]
+        information = reduced.information + held
+        gradient = reduced.gradient - prior * twist
+        step = np.linalg.solve(information, gradient[..., None])[..., 0]
+        follow = reduced.shift - np.einsum("mi,mij->mj", step[views.body], reduced.K)
         # No point goes behind the camera, nor more than doubles its inverse depth.
         follow[:, 2] = np.clip(follow[:, 2], -0.5 * point[:, 2], point[:, 2])
         point = point + follow
         point[:, 2] = np.maximum(point[:, 2], _MIN_INVERSE_DEPTH)
         twist = twist + step
-        step_size = np.einsum("bi,bij,bj->b", step, information, step)
-        if not wide and step_size.max() < _SMALL_STEP:
+        squared_step = (step * gradient).sum(1)  # δᵀ N δ with N δ = g
+        if not wide and squared_step.max() < _SMALL_STEP:
             break
     # Misfit beyond the noise told widens the covariance; less misfit does not narrow it.
     kept = np.where(reduced.inlier, 1.0, 0.0)
