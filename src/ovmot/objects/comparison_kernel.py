@@ -55,7 +55,7 @@ def compare_points(
             T, p = T_now_then[row], predicted[row, n]
             carry(T, p_then, p)
             if not p[2] > _LEAST_DEPTH:
-                p[:] = np.nan
+                p[0] = p[1] = p[2] = np.nan
                 continue
             stereo_covariance(p_then, T_cam1_cam0, sigma, C_then)
             carried_covariance(T, C_then, p, ego[row], C)
@@ -92,17 +92,16 @@ def fit_velocities(
         products[:, :] = 0.0
         for row in range(n_rows):
             if tested[row, n]:
-                L[:, :] = S[row, n]
-                add_square(J_slack[row, n], slack[row], L)
+                widen(S[row, n], J_slack[row, n], slack[row], L)
                 for i in range(4):
                     rows[i, 3] = residual[row, n, i]
                     for k in range(3):
                         rows[i, k] = J_motion[row, n, i, k] * span_s[row]
                 whiten(L, rows)
-                add_square(rows.T, 1.0, products)
-        information[:, :] = products[:3, :3]
+                add_products(rows, products)
         for a in range(3):
-            information[a, a] += 1e-6
+            for b in range(3):
+                information[a, b] = products[a, b] + (1e-6 if a == b else 0.0)
         invert(information, covariance[n])
         cost[n] = products[3, 3]
         for a in range(3):
@@ -129,12 +128,15 @@ def weigh(
     for row in range(n_rows):
         for n in range(n_points):
             if tested[row, n]:
-                L[:, :], J[:, :] = S_motion[row, n], J_motion[row, n]
-                root[:, :] = np.eye(4)
+                for i in range(4):
+                    for j in range(4):
+                        L[i, j], root[i, j] = S_motion[row, n, i, j], 1.0 if i == j else 0.0
+                    for j in range(3):
+                        J[i, j] = J_motion[row, n, i, j]
                 whiten(L, root)
                 whiten_with(L, J)
-                add_square(root.T, 1.0, weight[row, n])
-                add_square(J.T, 1.0, information[row, n])
+                add_products(root, weight[row, n])
+                add_products(J, information[row, n])
     return weight, information
 
 
@@ -274,12 +276,22 @@ def image_covariance(
 
 
 @part
-def add_square(A: FloatArray, scale: float, out: FloatArray) -> None:
-    """Add scale A Aᵀ (m, m) of A (m, k)."""
-    for i in range(A.shape[0]):
-        for j in range(A.shape[0]):
-            for k in range(A.shape[1]):
-                out[i, j] += scale * A[i, k] * A[j, k]
+def widen(S: FloatArray, J: FloatArray, slack: float, out: FloatArray) -> None:
+    """S + slack J Jᵀ (4, 4) of J (4, 3)."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = S[i, j]
+            for k in range(3):
+                out[i, j] += slack * J[i, k] * J[j, k]
+
+
+@part
+def add_products(rows: FloatArray, out: FloatArray) -> None:
+    """Add rowsᵀ rows (k, k) of rows (4, k)."""
+    for a in range(rows.shape[1]):
+        for b in range(rows.shape[1]):
+            for i in range(4):
+                out[a, b] += rows[i, a] * rows[i, b]
 
 
 @part

@@ -13,6 +13,8 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernel_cache import code_folder, compiled, part
 
+Vector = tuple[float, float, float]
+
 
 class Sightings(NamedTuple):
     """M points of B bodies in V views, the last one now: what stays the same over iterations.
@@ -73,7 +75,7 @@ def reduce_points(
     rows, products = np.empty((4, 10)), np.empty((10, 10))
     for n in range(n_points):
         b = s.body[n]
-        products[:, :] = 0.0
+        products.fill(0.0)
         for v in range(n_views):
             if s.by_sum[v, n] > 0.0:
                 view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, rows)
@@ -135,24 +137,25 @@ def through_body(xi: FloatArray, into_view: FloatArray, C: FloatArray, J: FloatA
     J holds the blocks J and Q of [[J, 0], [Q, J]] = Σ ad(ξ)ⁿ / (n + 1)!, and exp(ω) = I + [ω]x J
     (J. Solà et al., arXiv:1812.01537, sec. II-G), so that exp(-s (ξ' + δ)) = exp(-ξ) exp(-s J_l δ).
     """
-    w, u = xi[:3], xi[3:]
-    A, B = np.eye(3), np.zeros((3, 3))
-    J[:3], J[3:] = A, B
-    for n in range(1, 60):
-        for k in range(3):
-            below = cross(w, B[:, k]), cross(u, A[:, k])
+    w, u = (xi[0], xi[1], xi[2]), (xi[3], xi[4], xi[5])
+    for k in range(3):
+        A, B = (1.0 * (k == 0), 1.0 * (k == 1), 1.0 * (k == 2)), (0.0, 0.0, 0.0)
+        for a in range(3):
+            J[a, k], J[3 + a, k] = A[a], 0.0
+        for n in range(2, 60):
+            by_w, by_u, A = cross(w, B), cross(u, A), cross(w, A)
+            A = (A[0] / n, A[1] / n, A[2] / n)
+            B = ((by_w[0] + by_u[0]) / n, (by_w[1] + by_u[1]) / n, (by_w[2] + by_u[2]) / n)
+            largest = 0.0
             for a in range(3):
-                B[a, k] = (below[0][a] + below[1][a]) / (n + 1)
-            above = cross(w, A[:, k])
-            for a in range(3):
-                A[a, k] = above[a] / (n + 1)
-        J[:3] += A
-        J[3:] += B
-        if max(np.abs(A).max(), np.abs(B).max()) < 1e-17:
-            break
+                J[a, k] += A[a]
+                J[3 + a, k] += B[a]
+                largest = max(largest, abs(A[a]), abs(B[a]))
+            if largest < 1e-17:
+                break
     back = np.empty((3, 4))  # exp(-ξ)
     for k in range(3):
-        column = cross(w, J[:3, k])
+        column = cross(w, (J[0, k], J[1, k], J[2, k]))
         for a in range(3):
             back[k, a] = column[a] + (1.0 if a == k else 0.0)
     for a in range(3):
@@ -186,7 +189,7 @@ def view_rows(
             G[a, c] = C[a, 0] * out[0, column] + C[a, 1] * out[1, column] + C[a, 2] * out[2, column]
         G[a, 2] += C[a, 3]
         # C [D]x, row by row: (C row) x D
-        turn = cross(C[a, :3], D)
+        turn = cross((C[a, 0], C[a, 1], C[a, 2]), (D[0], D[1], D[2]))
         for c in range(3):
             by_turn, by_shift, by_both = 0.0, 0.0, 0.0
             for k in range(3):
@@ -196,7 +199,9 @@ def view_rows(
             G[a, 3 + c] = span * (by_turn - rho * by_both)
             G[a, 6 + c] = -span * rho * by_shift
     T, f, minus, plus = s.T_cam1_cam0, s.focal, s.by_difference[v, n], s.by_sum[v, n]
-    q0, q1 = G[:, 9], np.empty(3)
+    q0, q1 = np.empty(3), np.empty(3)
+    for a in range(3):
+        q0[a] = G[a, 9]
     for a in range(3):
         q1[a] = T[a, 0] * q0[0] + T[a, 1] * q0[1] + T[a, 2] * q0[2] + rho * T[a, 3]
     for i in range(2):
@@ -216,7 +221,7 @@ def view_rows(
 
 
 @part
-def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
+def cross(a: Vector, b: Vector) -> Vector:
     """a x b of vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 

@@ -38,15 +38,16 @@ def best_motion(
     inlier = np.zeros(len(p), dtype=np.bool_)
     for h in range(len(triples)):
         i, j, k = triples[h, 0], triples[h, 1], triples[h, 2]
-        T[:, :] = np.eye(4)
         wi, wj, wk = sigma[i] ** -2.0, sigma[j] ** -2.0, sigma[k] ** -2.0
         for a in range(3):
+            for b in range(3):
+                T[a, b] = 1.0 if a == b else 0.0
             moved = wi * (q[i, a] - p[i, a]) + wj * (q[j, a] - p[j, a]) + wk * (q[k, a] - p[k, a])
             T[a, 3] = moved / (wi + wj + wk)
         cost = _cost(T, p, seen, weight, T_cam1_cam0, best_cost)
         if cost < best_cost:
             best_cost = cost
-            best[:, :] = T
+            _put(T, best)
         wide = HEIGHT_SIGMAS * max(sigma[i], sigma[j], sigma[k])
         if not _height(q[i], q[j], q[k]) > wide:
             continue
@@ -56,7 +57,7 @@ def best_motion(
         cost = TURN_PENALTY + _cost(T, p, seen, weight, T_cam1_cam0, best_cost - TURN_PENALTY)
         if cost < best_cost:
             best_cost = cost
-            best[:, :] = T
+            _put(T, best)
     for n in range(len(p)):
         inlier[n] = _distance(best, p[n], seen[n], weight[n], T_cam1_cam0) < GATE
     return best_cost, best, inlier
@@ -73,7 +74,9 @@ def velocity_errors(
     trace, count = np.empty(len(information)), np.zeros(len(information), dtype=np.int64)
     total = np.empty((3, 3))
     for row in range(len(information)):
-        total[:, :] = 1e-6 * np.eye(3)
+        for a in range(3):
+            for b in range(3):
+                total[a, b] = 1e-6 if a == b else 0.0
         for n in index:
             count[row] += weight[row, n, 0, 0] > 0.0
             for a in range(3):
@@ -86,6 +89,14 @@ def velocity_errors(
         minors += total[0, 0] * total[1, 1] - total[0, 1] * total[1, 0]
         trace[row] = minors / (total[0, 0] * A + total[0, 1] * B + total[0, 2] * C)
     return trace, count
+
+
+@part
+def _put(T: FloatArray, place: FloatArray) -> None:
+    """Copy a matrix (4, 4)."""
+    for a in range(4):
+        for b in range(4):
+            place[a, b] = T[a, b]
 
 
 @part
@@ -166,24 +177,28 @@ def _register(
 @part
 def _in_own_axes(
     a: FloatArray, b: FloatArray, c: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, tuple[float, float, float], tuple[float, float, float]]:
     """Axes (3, 3) of a triangle, in columns, the last its normal; and its corners' coordinates (3,)
     along the first two, from the middle."""
-    e = b - a
-    e = e / max(math.sqrt((e * e).sum()), 1e-300)
-    to_c = c - a
-    along = (to_c * e).sum()
-    f = to_c - along * e
-    height = math.sqrt((f * f).sum())
-    f = f / max(height, 1e-300)
     axes = np.empty((3, 3))
-    axes[:, 0], axes[:, 1] = e, f
-    axes[0, 2] = e[1] * f[2] - e[2] * f[1]
-    axes[1, 2] = e[2] * f[0] - e[0] * f[2]
-    axes[2, 2] = e[0] * f[1] - e[1] * f[0]
-    x = np.array([0.0, ((b - a) * e).sum(), along])
-    y = np.array([0.0, 0.0, height])
-    return axes, x - x.mean(), y - y.mean()
+    length, along, height = 0.0, 0.0, 0.0
+    for k in range(3):
+        length += (b[k] - a[k]) ** 2
+    length = max(math.sqrt(length), 1e-300)
+    for k in range(3):
+        axes[k, 0] = (b[k] - a[k]) / length
+        along += (c[k] - a[k]) * axes[k, 0]
+    for k in range(3):
+        axes[k, 1] = c[k] - a[k] - along * axes[k, 0]
+        height += axes[k, 1] ** 2
+    height = max(math.sqrt(height), 1e-300)
+    for k in range(3):
+        axes[k, 1] /= height
+    axes[0, 2] = axes[1, 0] * axes[2, 1] - axes[2, 0] * axes[1, 1]
+    axes[1, 2] = axes[2, 0] * axes[0, 1] - axes[0, 0] * axes[2, 1]
+    axes[2, 2] = axes[0, 0] * axes[1, 1] - axes[1, 0] * axes[0, 1]
+    x, y = (length + along) / 3.0, height / 3.0
+    return axes, (-x, length - x, along - x), (-y, -y, height - y)
 
 
 best_motion_compiled = compiled(best_motion, code_folder(Path(__file__)))
