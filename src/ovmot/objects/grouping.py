@@ -107,8 +107,9 @@ def motion_history(
         Slide(settings.slide_per_hop_px, settings.slide_per_flow),
     )
     velocity, covariance, steady = _fit(comparison)
-    if not steady.all():
-        comparison = _shortened(comparison, ~steady)
+    changes = ~steady & (points.track_id[candidate] >= 0)
+    if changes.any():
+        comparison = _shortened(comparison, changes)
         velocity, covariance, steady = _fit(comparison)
     kept = np.flatnonzero(steady & (squared_distance(velocity, covariance) > _MOVES))
     if len(kept) < settings.min_points:
@@ -162,7 +163,10 @@ def _fit(comparison: Comparison) -> tuple[FloatArray, FloatArray, BoolArray]:
 
 
 def _shortened(comparison: Comparison, which: BoolArray) -> Comparison:
-    """Some points (M,) by their last rows alone: a car that brakes was faster before."""
+    """Some points (M,) by their last rows alone: a car that brakes was faster before.
+
+    For points of tracks: else any jump of a patch would be a motion.
+    """
     old = comparison.span_s > _BRAKING_S
     residual = comparison.residual.copy()
     residual[np.ix_(old, which)] = np.nan

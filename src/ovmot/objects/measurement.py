@@ -107,11 +107,21 @@ def measure_objects(
     is_static = STATIC_TESTS[settings.static_test]
     bodies: list[_Body] = []
     for k, body in zip(enough, measured, strict=True):
-        fast = np.linalg.norm(body.velocity) > settings.min_speed_mps
-        if fast and not is_static(_as_found(body, T_cam0_world), rig, settings):
+        if not _tells(body, settings):
+            continue
+        if not is_static(_as_found(body, T_cam0_world), rig, settings):
             owner = main_owner(history.owner[index[members[k]]])
             bodies.append(_Body(int(group_of[k]), owner, body))
     return _without_parts(bodies, settings)
+
+
+def _tells(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
+    """Is a body fast enough, and its speed known well enough, to be a measurement?"""
+    v = body.velocity
+    squared = float(v @ v)
+    variance = float(v @ body.covariance[3:, 3:] @ v) / max(squared, 1e-12)
+    fast = squared > settings.min_speed_mps**2
+    return fast and variance < settings.max_speed_sigma_mps**2
 
 
 def _shows_turns(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
