@@ -29,9 +29,12 @@ from ovmot.batch.plan import read_plan
 from ovmot.batch.summary import summary_tables
 from ovmot.batch.work import work
 from ovmot.config import describe_settings, load_settings
-from ovmot.datasets.registry import READERS, open_sequence
+from ovmot.datasets.bag_topics import BagTopics
+from ovmot.datasets.registry import READERS, open_recording
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
+from ovmot.outputs.run_writer import Output, RunContext
+from ovmot.ros.bag_output import BagOutput
 from ovmot.run import RunOptions, run_sequence
 from ovmot.runtime import prepare_process
 from ovmot.sim.scene_file import SCENES, load_scene
@@ -77,7 +80,10 @@ def _root(
 
 @app.command()
 def run(
-    data: Annotated[Path, typer.Argument(help="Folder of a recorded sequence.")],
+    data: Annotated[
+        Path,
+        typer.Argument(help="Folder of a recorded sequence, or a ROS bag: .bag, .mcap, .db3."),
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
     format: Annotated[
         str | None, typer.Option(help=f"Kind of data: {', '.join(READERS)}; else recognised.")
@@ -87,6 +93,15 @@ def run(
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
+    ] = None,
+    left: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's left camera; else found.")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's right camera; else found.")
+    ] = None,
+    imu: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's IMU; else found.")
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML settings: only what differs from the defaults.")
@@ -108,6 +123,13 @@ def run(
         bool, typer.Option("--save-points", help="Write points.csv and stereo.csv.")
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write overlay.mp4.")] = False,
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.bag",
+            help="Write the results as a ROS bag too: .bag, .mcap, or a folder of ROS 2.",
+        ),
+    ] = None,
     no_objects: Annotated[
         bool, typer.Option("--no-objects", help="Do not look for moving objects.")
     ] = False,
@@ -121,10 +143,13 @@ def run(
     prepare_process()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
     settings = load_settings(config, overrides)
-    recorded = open_sequence(data, format, sequence, calibration, settings.imu.max_gap_s)
+    recorded = open_recording(
+        data, format, sequence, calibration, settings.imu.max_gap_s, BagTopics(left, right, imu)
+    )
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
-    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks)
+    more = () if bag is None else (_bag_output(bag, video, force),)
+    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks, more)
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with (
         _interruptible("what was done until here is written whole"),
@@ -249,6 +274,10 @@ def settings() -> None:
     for row in describe_settings():
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)
+
+
+def _bag_output(path: Path, video: bool, force: bool) -> Callable[[RunContext], Output]:
+    return lambda context: BagOutput(path, context.rig, overlay=video, replace=force)
 
 
 def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:

@@ -12,7 +12,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.datasets.masks import open_masks, with_masks
-from ovmot.datasets.sequence import FolderSequence
+from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
 from ovmot.formats import read_ego_poses
@@ -22,7 +22,7 @@ from ovmot.msckf.known_start import KnownStart, StartSigmas
 from ovmot.msckf.start import FilterStart
 from ovmot.msckf.state import ImuState
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
-from ovmot.outputs.run_writer import RunWriter, open_outputs
+from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.pipeline import STAGES, FrontEnd, Pipeline, Start
 from ovmot.sim.features import FeatureRecording
 from ovmot.types import Event, ImuNoise, ImuSample
@@ -42,6 +42,7 @@ class RunOptions:
     first: int = 0
     last: int | None = None
     masks: Path | None = None
+    more_outputs: tuple[Callable[[RunContext], Output], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ class _Source:
 
 
 def run_sequence(
-    sequence: FolderSequence,
+    sequence: RecordedSequence,
     settings: Settings,
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
@@ -153,6 +154,7 @@ def _run(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
         frame_number=source.frame_number if settings.objects.enabled else None,
+        more=options.more_outputs,
     )  # fmt: skip
     try:
         with writer, closing(source.stream):
@@ -215,7 +217,7 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
     }
 
 
-def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | None) -> Start:
+def make_start(sequence: RecordedSequence, settings: Settings, ego_poses: Path | None) -> Start:
     """Where the ego motion comes from: a pose file if one is given, else the filter."""
     if ego_poses is not None:
         ego = read_ego_poses(ego_poses, sequence.frame_ns)
@@ -248,7 +250,7 @@ def known_start(
     return KnownStart(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
 
 
-def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:
+def imu_noise(sequence: RecordedSequence, settings: Settings) -> ImuNoise:
     """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
     told = settings.imu
     known = sequence.imu_noise or ImuNoise(*told.fallback)
@@ -310,7 +312,7 @@ def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> I
             counts["frames_without_pose"] += 1
 
 
-def _identity(sequence: FolderSequence) -> InputIdentity:
+def _identity(sequence: RecordedSequence) -> InputIdentity:
     stamps = sequence.frame_ns
     return InputIdentity(
         path=str(sequence.root.resolve()),
