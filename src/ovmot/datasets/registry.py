@@ -7,9 +7,14 @@ from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.kalibr import read_kalibr
 from ovmot.config import ImuSettings
 from ovmot.datasets.euroc import EurocReader
+from ovmot.datasets.four_seasons import FourSeasonsReader
 from ovmot.datasets.kaist import KaistReader
 from ovmot.datasets.kitti import KittiReader
+from ovmot.datasets.kitti_raw import KittiRawReader
 from ovmot.datasets.sequence import FolderSequence
+from ovmot.datasets.tum_vi import TumViReader
+from ovmot.datasets.uzh_fpv import UzhFpvReader
+from ovmot.datasets.viode import ViodeReader
 from ovmot.errors import InputError
 
 
@@ -37,6 +42,11 @@ READERS: dict[str, Reader] = {
     "euroc": EurocReader(),
     "kaist": KaistReader(),
     "kitti": KittiReader(),
+    "kitti_raw": KittiRawReader(),
+    "tum_vi": TumViReader(),
+    "viode": ViodeReader(),
+    "uzh_fpv": UzhFpvReader(),
+    "4seasons": FourSeasonsReader(),
 }
 
 

@@ -10,6 +10,7 @@ from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
+from ovmot.datasets.segmentation import Segmentation
 from ovmot.errors import DatasetError
 from ovmot.formats import ns_to_seconds
 from ovmot.geometry.arrays import Image, IntArray
@@ -25,7 +26,8 @@ class FolderSequence:
     `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
-    `decode` turns a file into a grey image. `warnings` are sentences for the user; `counts` the
+    `decode` turns a file into a grey image. `segmentation` is there where the data has pictures of
+    what each pixel shows. `warnings` are sentences for the user; `counts` the
     numbers behind them.
     """
 
@@ -42,6 +44,7 @@ class FolderSequence:
     decode: Decode
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
+    segmentation: Segmentation | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
@@ -58,6 +61,7 @@ def assemble(
     decode: Decode,
     findings: Findings,
     numbers: IntArray | None = None,
+    segmentation: Segmentation | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 
@@ -84,6 +88,7 @@ def assemble(
         decode=decode,
         warnings=tuple(findings.warnings),
         counts=dict(findings.counts),
+        segmentation=segmentation,
     )
 
 
