@@ -151,6 +151,13 @@ class CalibrationSettings(Section):
         return self.extrinsics or self.intrinsics or self.imu_intrinsics or self.g_sensitivity
 
 
+class MaskSettings(Section):
+    """Parts of the pictures that nothing is taken from, beside the folder of --masks."""
+
+    segmentation_ids: tuple[int, ...] = ()
+    """Ids in the data's segmentation pictures (VIODE) whose pixels are masked."""
+
+
 class ImuSettings(Section):
     """Noise of the IMU; densities left out are the data's, else those of `fallback`."""
 
@@ -340,6 +347,7 @@ class Settings(Section):
 
     tracker: TrackerSettings = TrackerSettings()
     epipolar: EpipolarSettings = EpipolarSettings()
+    masks: MaskSettings = MaskSettings()
     filter: FilterSettings = FilterSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     imu: ImuSettings = ImuSettings()

@@ -11,7 +11,8 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
-from ovmot.datasets.masks import open_masks, with_masks
+from ovmot.datasets.masks import MaskSource, open_masks, with_masks
+from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import FolderSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
@@ -78,8 +79,8 @@ def run_sequence(
     `run.json` that says so, and is raised again.
     """
     stream = events(sequence, first=options.first, last=options.last)
-    if options.masks is not None:
-        stream = with_masks(stream, open_masks(options.masks, sequence.rig))
+    for masks in _masks(sequence, settings, options):
+        stream = with_masks(stream, masks)
     source = _Source(
         name=str(sequence.root),
         rig=sequence.rig,
@@ -95,6 +96,20 @@ def run_sequence(
         warnings=Counter(sequence.warnings),
     )
     return _run(source, settings, options, on_frame, on_wait)
+
+
+def _masks(
+    sequence: FolderSequence, settings: Settings, options: RunOptions
+) -> Iterator[MaskSource]:
+    """The masks of a folder, and those of the data's segmentation."""
+    if options.masks is not None:
+        yield open_masks(options.masks, sequence.rig)
+    ids = settings.masks.segmentation_ids
+    if ids and sequence.segmentation is None:
+        remedy = "leave out masks.segmentation_ids"
+        raise InputError.at(sequence.root, "has no segmentation pictures", remedy)
+    if ids and sequence.segmentation is not None:
+        yield SegmentationMasks.make(sequence.segmentation, ids, sequence.rig)
 
 
 def run_features(

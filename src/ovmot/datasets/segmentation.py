@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import numbered_images
 from ovmot.errors import DatasetError, InputError
@@ -38,6 +39,14 @@ class SegmentationMasks:
     segmentation: Segmentation
     ids: tuple[int, ...]
     sizes: tuple[tuple[int, int], tuple[int, int]]
+
+    @classmethod
+    def make(
+        cls, segmentation: Segmentation, ids: tuple[int, ...], rig: StereoRig
+    ) -> "SegmentationMasks":
+        """For the pictures of a rig."""
+        sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
+        return cls(segmentation, ids, sizes)
 
     def of(self, timestamp_ns: int) -> tuple[Image | None, Image | None]:
         """The masks of one frame; None where it has no picture. Raises `InputError`."""
