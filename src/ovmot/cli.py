@@ -4,6 +4,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -28,10 +29,11 @@ from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
 from ovmot.batch.plan import read_plan
 from ovmot.batch.summary import summary_tables
 from ovmot.batch.work import work
-from ovmot.config import describe_settings, load_settings
+from ovmot.config import describe_settings
 from ovmot.datasets.registry import READERS, open_sequence
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
+from ovmot.openvins import load_run_config
 from ovmot.run import RunOptions, run_sequence
 from ovmot.runtime import prepare_process
 from ovmot.sim.scene_file import SCENES, load_scene
@@ -89,7 +91,8 @@ def run(
         Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(help="YAML settings: only what differs from the defaults.")
+        Path | None,
+        typer.Option(help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS."),
     ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="One setting: section.key=value; repeatable.")
@@ -120,11 +123,17 @@ def run(
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
     prepare_process()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    settings = load_settings(config, overrides)
-    recorded = open_sequence(data, format, sequence, calibration, settings.imu.max_gap_s)
+    given = load_run_config(config, overrides)
+    settings = given.settings
+    recorded = open_sequence(
+        data, format, sequence, calibration or given.calibration, settings.imu.max_gap_s
+    )
+    recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
-    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks)
+    options = RunOptions(
+        out, _ego_poses(ego), save_points, video, force, first, last, masks, given.mask_files
+    )
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with (
         _interruptible("what was done until here is written whole"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
-from ovmot.datasets.masks import MaskSource, open_masks, with_masks
+from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import FolderSequence
 from ovmot.datasets.stream import events
@@ -43,6 +43,7 @@ class RunOptions:
     first: int = 0
     last: int | None = None
     masks: Path | None = None
+    mask_files: tuple[Path | None, Path | None] = (None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +102,11 @@ def run_sequence(
 def _masks(
     sequence: FolderSequence, settings: Settings, options: RunOptions
 ) -> Iterator[MaskSource]:
-    """The masks of a folder, and those of the data's segmentation."""
+    """The masks of a folder, of two files, and of the data's segmentation."""
     if options.masks is not None:
         yield open_masks(options.masks, sequence.rig)
+    if any(options.mask_files):
+        yield open_mask_files(options.mask_files, sequence.rig)
     ids = settings.masks.segmentation_ids
     if ids and sequence.segmentation is None:
         remedy = "leave out masks.segmentation_ids"
@@ -225,6 +228,7 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
         "start": "truth" if isinstance(start, KnownStart) else "found",
         "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
         "masks": None if options.masks is None else str(options.masks.resolve()),
+        "mask_files": ", ".join(str(file) for file in options.mask_files if file) or None,
         "first": options.first,
         "last": options.last,
     }

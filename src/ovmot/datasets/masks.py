@@ -59,6 +59,26 @@ def open_masks(folder: Path, rig: StereoRig) -> Masks:
     return Masks(folder, sizes, (left, right))
 
 
+@dataclass(frozen=True, slots=True)
+class FixedMasks:
+    """The same masks for all frames."""
+
+    always: tuple[Image | None, Image | None]
+
+    def of(self, timestamp_ns: int) -> tuple[Image | None, Image | None]:
+        """Those masks."""
+        return self.always
+
+
+def open_mask_files(files: tuple[Path | None, Path | None], rig: StereoRig) -> FixedMasks:
+    """Masks of two pictures, each optional; raises `InputError` for one of another size."""
+    sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
+    left, right = (
+        None if file is None else _read(file, size) for file, size in zip(files, sizes, strict=True)
+    )
+    return FixedMasks((left, right))
+
+
 def with_masks(
     stream: Generator[Event, None, None], masks: MaskSource
 ) -> Generator[Event, None, None]:

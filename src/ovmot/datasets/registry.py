@@ -54,13 +54,13 @@ def open_sequence(
     path: Path,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | None = None,
+    calibration: Path | Calibration | None = None,
     imu_max_gap_s: float | None = None,
 ) -> FolderSequence:
     """Describe the sequence in a folder; no image is decoded.
 
     `format` is a key of `READERS` or None to recognise it; `sequence` chooses where a folder
-    holds several; `calibration` is a Kalibr chain file, or a folder with one, in place of the data
+    holds several; `calibration`, or a Kalibr chain file or folder with one, is in place of the data
     set's own; `imu_max_gap_s` is the setting `imu.max_gap_s`.
     Raises `InputError` and its children, each with file, row and remedy.
     """
@@ -68,7 +68,7 @@ def open_sequence(
         raise InputError.at(path, "no such folder", "give the folder of a recorded sequence")
     if not path.is_dir():
         raise InputError.at(path, "not a folder", "give the folder of a recorded sequence")
-    given = None if calibration is None else read_kalibr(calibration)
+    given = read_kalibr(calibration) if isinstance(calibration, Path) else calibration
     gap = ImuSettings().max_gap_s if imu_max_gap_s is None else imu_max_gap_s
     if format is not None:
         if format not in READERS:
@@ -76,7 +76,7 @@ def open_sequence(
         return READERS[format].read(path, sequence, given, gap)
     kinds = recognise(path)
     if not kinds and sequence is not None and len(recognise(path / sequence)) == 1:
-        return open_sequence(path / sequence, None, None, calibration, imu_max_gap_s)
+        return open_sequence(path / sequence, None, None, given, imu_max_gap_s)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {reader.needs}" for kind, reader in READERS.items())
