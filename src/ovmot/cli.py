@@ -4,6 +4,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -28,11 +29,12 @@ from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
 from ovmot.batch.plan import read_plan
 from ovmot.batch.summary import summary_tables
 from ovmot.batch.work import work
-from ovmot.config import describe_settings, load_settings
+from ovmot.config import describe_settings
 from ovmot.datasets.bag_topics import BagTopics
 from ovmot.datasets.registry import READERS, open_recording
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
+from ovmot.openvins import load_run_config
 from ovmot.outputs.run_writer import Output, RunContext
 from ovmot.ros.bag_output import BagOutput
 from ovmot.run import RunOptions, run_sequence
@@ -104,7 +106,8 @@ def run(
         str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's IMU; else found.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(help="YAML settings: only what differs from the defaults.")
+        Path | None,
+        typer.Option(help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS."),
     ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="One setting: section.key=value; repeatable.")
@@ -142,14 +145,23 @@ def run(
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
     prepare_process()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    settings = load_settings(config, overrides)
+    given = load_run_config(config, overrides)
+    settings = given.settings
     recorded = open_recording(
-        data, format, sequence, calibration, settings.imu.max_gap_s, BagTopics(left, right, imu)
+        data,
+        format,
+        sequence,
+        calibration or given.calibration,
+        settings.imu.max_gap_s,
+        BagTopics(left, right, imu),
     )
+    recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
     more = () if bag is None else (_bag_output(bag, video, force),)
-    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks, more)
+    options = RunOptions(
+        out, _ego_poses(ego), save_points, video, force, first, last, masks, more, given.mask_files
+    )
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with (
         _interruptible("what was done until here is written whole"),

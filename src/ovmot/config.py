@@ -4,6 +4,7 @@
 and values of the wrong type are errors that name the file. `ovmot settings` prints this page.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -149,6 +150,13 @@ class CalibrationSettings(Section):
     def any(self) -> bool:
         """Whether any part is estimated."""
         return self.extrinsics or self.intrinsics or self.imu_intrinsics or self.g_sensitivity
+
+
+class MaskSettings(Section):
+    """Parts of the pictures that nothing is taken from, beside the folder of --masks."""
+
+    segmentation_ids: tuple[int, ...] = ()
+    """Ids in the data's segmentation pictures (VIODE) whose pixels are masked."""
 
 
 class ImuSettings(Section):
@@ -342,6 +350,7 @@ class Settings(Section):
 
     tracker: TrackerSettings = TrackerSettings()
     epipolar: EpipolarSettings = EpipolarSettings()
+    masks: MaskSettings = MaskSettings()
     filter: FilterSettings = FilterSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     imu: ImuSettings = ImuSettings()
@@ -364,12 +373,20 @@ def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
         loaded = read_yaml_mapping(path)
         # a section whose keys are all commented out
         data = {key: {} if value is None else value for key, value in loaded.items()}
+    return make_settings(data, overrides, None if path is None else str(path))
+
+
+def make_settings(
+    sections: dict[str, Any], overrides: Sequence[str], source: str | None
+) -> Settings:
+    """Settings of sections of keys, and `overrides`; errors as `load_settings`, naming `source`."""
+    data = dict(sections)
     for text in overrides:
         _apply_override(data, text)
     try:
         return Settings.model_validate(data)
     except ValidationError as error:
-        sources = ([] if path is None else [str(path)]) + [f"--set {text}" for text in overrides]
+        sources = ([] if source is None else [source]) + [f"--set {text}" for text in overrides]
         raise InputError(
             f"{', '.join(sources)}: {plain_messages(error, SETTINGS_REMEDY)}"
         ) from None
@@ -405,12 +422,14 @@ class UniqueKeyLoader(yaml.SafeLoader):
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
-    """The keys of a YAML file, read safely; none of an empty file.
+    """The keys of a YAML file, read safely; none of an empty file. OpenCV's header is let pass.
 
     Raises `InputError` for a file that can not be read, is no YAML, or holds something else.
     """
     try:
-        loaded = yaml.load(path.read_text(encoding="utf-8"), UniqueKeyLoader)
+        text = path.read_text(encoding="utf-8-sig")
+        text = re.sub(r"\A\s*%YAML:[^\n]*", "", text)  # no directive of YAML
+        loaded = yaml.load(text, UniqueKeyLoader)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot read the file: {error}") from None
     except yaml.YAMLError as error:

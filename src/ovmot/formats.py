@@ -111,7 +111,7 @@ def read_tum(path: Path) -> Trajectory:
     Raises `InputError` for an unreadable row, stamps that run backwards or a quaternion that is
     not of unit length.
     """
-    lines = _read_lines(path, InputError)
+    lines = read_lines(path, InputError)
     values = lines.parse(np.dtype(np.float64), 8, None)
     try:
         stamps = [seconds_to_ns(text.split(None, 1)[0]) for text in lines.text]
@@ -126,7 +126,7 @@ def read_kitti_poses(path: Path) -> FloatArray:
 
     Raises `InputError` for a row of something else.
     """
-    lines = _read_lines(path, InputError)
+    lines = read_lines(path, InputError)
     values = lines.parse(np.dtype(np.float64), 12, None).reshape(-1, 3, 4)
     R = values[:, :, :3]
     wrong = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(1, 2)) > 1e-2
@@ -148,7 +148,7 @@ def read_stamped_csv(path: Path, n_columns: int) -> StampedTable:
 
     Raises `DatasetError` naming the first row that is something else.
     """
-    lines = _read_lines(path, DatasetError)
+    lines = read_lines(path, DatasetError)
     layout = np.dtype([("stamp", "i8"), ("values", "f8", (n_columns - 1,))])
     table = lines.parse(layout, n_columns, ",")
     return StampedTable(path, table["stamp"], table["values"], lines.row)
@@ -159,11 +159,11 @@ def read_stamped_names(path: Path) -> StampedNames:
 
     Raises `DatasetError` naming the first row that is something else.
     """
-    lines = _read_lines(path, DatasetError)
+    lines = read_lines(path, DatasetError)
     stamps, names = [], []
     for row, text in zip(lines.row, lines.text, strict=True):
         stamp, _, name = text.partition(",")
-        if not _is_stamp(stamp):
+        if not is_stamp(stamp):
             problem = f"'{stamp.strip()[:40]}' is not a stamp in whole nanoseconds"
             raise DatasetError.at(path, problem, "correct or delete the row", row=int(row))
         stamps.append(int(stamp))
@@ -186,7 +186,7 @@ def read_euroc_ground_truth(path: Path) -> Trajectory:
 
 def column_count(path: Path, delimiter: str | None) -> int:
     """Number of columns of the first row that holds data, 0 for an empty file."""
-    lines = _read_lines(path, InputError)
+    lines = read_lines(path, InputError)
     return len(lines.text[0].split(delimiter)) if lines.text else 0
 
 
@@ -246,8 +246,8 @@ def interpolate_poses(
 
 
 @dataclass(frozen=True, slots=True)
-class _Lines:
-    """The data lines of a text file, with the file's row of each (N,)."""
+class Lines:
+    """The data lines of a text file, and the file's row of each (N,); `error` is raised."""
 
     path: Path
     error: type[InputError]
@@ -289,7 +289,7 @@ class _Lines:
             if len(fields) != n_columns:
                 problem = f"{len(fields)} columns where {n_columns} are expected"
                 raise self.error.at(self.path, problem, remedy, row=int(row))
-            if stamped and not _is_stamp(fields[0]):
+            if stamped and not is_stamp(fields[0]):
                 problem = f"'{fields[0].strip()[:40]}' is not a stamp in whole nanoseconds"
                 raise self.error.at(self.path, problem, remedy, row=int(row))
             for field in fields:
@@ -298,7 +298,8 @@ class _Lines:
                     raise self.error.at(self.path, problem, remedy, row=int(row))
 
 
-def _read_lines(path: Path, error: type[InputError]) -> _Lines:
+def read_lines(path: Path, error: type[InputError]) -> Lines:
+    """The lines that hold data: not empty, no comment, no names of columns."""
     try:
         everything = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
@@ -315,7 +316,7 @@ def _read_lines(path: Path, error: type[InputError]) -> _Lines:
             continue  # names of columns
         rows.append(row)
         text.append(stripped)
-    return _Lines(path, error, text, np.array(rows, dtype=np.int64))
+    return Lines(path, error, text, np.array(rows, dtype=np.int64))
 
 
 def _first(line: str) -> str:
@@ -330,7 +331,8 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _is_stamp(text: str) -> bool:
+def is_stamp(text: str) -> bool:
+    """Is this a whole number of nanoseconds?"""
     digits = text.strip().removeprefix("-")
     return digits.isascii() and digits.isdigit() and int(digits) < _INT64
 

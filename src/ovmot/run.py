@@ -11,7 +11,8 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
-from ovmot.datasets.masks import open_masks, with_masks
+from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
+from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
@@ -43,6 +44,7 @@ class RunOptions:
     last: int | None = None
     masks: Path | None = None
     more_outputs: tuple[Callable[[RunContext], Output], ...] = ()
+    mask_files: tuple[Path | None, Path | None] = (None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +81,8 @@ def run_sequence(
     `run.json` that says so, and is raised again.
     """
     stream = events(sequence, first=options.first, last=options.last)
-    if options.masks is not None:
-        stream = with_masks(stream, open_masks(options.masks, sequence.rig))
+    for masks in _masks(sequence, settings, options):
+        stream = with_masks(stream, masks)
     source = _Source(
         name=str(sequence.root),
         rig=sequence.rig,
@@ -96,6 +98,22 @@ def run_sequence(
         warnings=Counter(sequence.warnings),
     )
     return _run(source, settings, options, on_frame, on_wait)
+
+
+def _masks(
+    sequence: RecordedSequence, settings: Settings, options: RunOptions
+) -> Iterator[MaskSource]:
+    """The masks of a folder, of two files, and of the data's segmentation."""
+    if options.masks is not None:
+        yield open_masks(options.masks, sequence.rig)
+    if any(options.mask_files):
+        yield open_mask_files(options.mask_files, sequence.rig)
+    ids = settings.masks.segmentation_ids
+    if ids and sequence.segmentation is None:
+        remedy = "leave out masks.segmentation_ids"
+        raise InputError.at(sequence.root, "has no segmentation pictures", remedy)
+    if ids and sequence.segmentation is not None:
+        yield SegmentationMasks.make(sequence.segmentation, ids, sequence.rig)
 
 
 def run_features(
@@ -212,6 +230,7 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
         "start": "truth" if isinstance(start, KnownStart) else "found",
         "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
         "masks": None if options.masks is None else str(options.masks.resolve()),
+        "mask_files": ", ".join(str(file) for file in options.mask_files if file) or None,
         "first": options.first,
         "last": options.last,
     }

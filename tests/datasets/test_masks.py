@@ -51,6 +51,18 @@ def test_frames_get_their_masks(painted_rig: StereoRig, tmp_path: Path) -> None:
     assert out[2].right_mask is None
 
 
+def test_masks_of_two_sources_are_joined(painted_rig: StereoRig, tmp_path: Path) -> None:
+    write(tmp_path / "cam0.png", lower_half())
+    grey = np.zeros((240, 320), dtype=np.uint8)
+    corner = grey.copy()
+    corner[:10, :10] = 1
+    stream: list[Event] = [StereoFrame(5, grey, grey, corner, corner)]
+    (frame,) = with_masks((e for e in stream), open_masks(tmp_path, painted_rig))
+    assert isinstance(frame, StereoFrame) and frame.left_mask is not None
+    np.testing.assert_array_equal(frame.left_mask > 0, (lower_half() > 0) | (corner > 0))
+    np.testing.assert_array_equal(frame.right_mask, corner)
+
+
 def test_mistakes_are_one_line(painted_rig: StereoRig, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no masks"):
         open_masks(tmp_path, painted_rig)

@@ -8,14 +8,23 @@ import numpy as np
 import pytest
 import yaml
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InputError
 from ovmot.formats import read_stamped_csv
 from ovmot.sim.imu_errors import ImuErrors
 from ovmot.sim.render import camera_rays, render_picture
+from ovmot.sim.rigs import rectified, without_distortion
 from ovmot.sim.sequence_files import generators, imu_samples, imu_times, truth_times
 from ovmot.sim.simulation import Simulation
 from ovmot.sim.truth import depth_image
 from ovmot.sim.writers import WRITERS, Writer
+
+
+def _picture_rig(writer: Writer, rig: StereoRig) -> StereoRig:
+    """The rig whose pictures a format holds."""
+    if writer in (WRITERS["kitti_sync"], WRITERS["4seasons"]):
+        return rectified(rig)
+    return without_distortion(rig) if writer is WRITERS["viode"] else rig
 
 
 @pytest.fixture(params=sorted(WRITERS))
@@ -42,7 +51,7 @@ def test_depth_and_imu_truth_are_written(
     steps = cv2.imread(str(tmp_path / f"truth/depth/{time_ns}.png"), cv2.IMREAD_UNCHANGED)
     assert steps is not None
     assert steps.dtype == np.uint16
-    rig = simulation.rig
+    rig = _picture_rig(writer, simulation.rig)
     T_world_cam0 = simulation.path.pose(time_ns) @ rig.T_imu_cam0
     true = render_picture(simulation.scene, camera_rays(rig.cam0), T_world_cam0, time_ns).depth
     near = np.isfinite(true) & (true < 255.0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ovmot.cameras.calibration import Calibration
 from ovmot.datasets.bag_calibration import bag_calibration
 from ovmot.datasets.bag_file import Bag, BagMessage
 from ovmot.datasets.bag_images import stored_image
@@ -57,7 +58,7 @@ class BagSequence(RecordedSequence):
 
 
 def read_bag(
-    path: Path, asked: BagTopics, calibration: Path | None, imu_max_gap_s: float
+    path: Path, asked: BagTopics, calibration: Path | Calibration | None, imu_max_gap_s: float
 ) -> BagSequence:
     """Describe the sequence in a bag; no image is decoded or kept.
 

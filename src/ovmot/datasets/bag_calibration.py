@@ -22,11 +22,14 @@ _MOUNT = "--calibration FILE with cam0.T_cam_imu (and timeshift_cam_imu)"
 _CHAIN = "give a Kalibr chain of both cameras with --calibration FILE"
 
 
-def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | None) -> Calibration:
+def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | Calibration | None) -> Calibration:
     """The calibration from `chain`; what it leaves out (both cameras) from CameraInfo.
 
-    Raises `CalibrationError` that says what is missing.
+    A `chain` that is a calibration already is all. Raises `CalibrationError` that says what is
+    missing.
     """
+    if isinstance(chain, Calibration):
+        return chain
     if chain is not None and not is_mount(chain):
         return read_kalibr(chain)
     nodes = [_info(bag, topic) for topic in (topics.left, topics.right)]

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.asl import note_no_imu, refuse_choice
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import (
     StereoListing,
@@ -48,8 +49,7 @@ class KaistReader:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
             raise InputError.at(root, "not a KAIST folder", f"it needs {self.needs}")
-        if sequence is not None:
-            raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")
+        refuse_choice(root, sequence)
         findings = Findings()
         listing = _listing(root, findings)
         imu = _imu(root / "sensor_data" / "xsens_imu.csv", imu_max_gap_s, findings)
@@ -84,7 +84,7 @@ def _listing(root: Path, findings: Findings) -> StereoListing:
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
     if not path.exists():
-        findings.note("no_imu", 1, f"{path}: no IMU file; the ego motion must come from poses")
+        note_no_imu(path, findings)
         return None
     if column_count(path, ",") == _IMU_COLUMNS_WITHOUT_GYRO:
         problem = "8 columns: this early KAIST sequence has orientation only, no gyro and no accel"

@@ -89,7 +89,8 @@ class KittiReader:
 
 def _tracking(root: Path) -> Path | None:
     for folder in (root, root / "training", root / "testing"):
-        if (folder / "image_02").is_dir():
+        # a raw drive has folders of that name too, with the images in `data`
+        if (folder / "image_02").is_dir() and not (folder / "image_02" / "data").is_dir():
             return folder
     return None
 

@@ -20,9 +20,9 @@ def read_kitti_calibration(path: Path, left: int, size: tuple[int, int]) -> Cali
     velodyne <- IMU (odometry) put the IMU at the left camera, with x forward, y left, z up.
     `size` is width and height in pixels. Raises `CalibrationError` with file, key and remedy.
     """
-    node = _read(path)
+    node = read_keyed_numbers(path)
     cameras, T_rect_cam = zip(
-        *(_camera(node, f"P{i}", size) for i in (left, left + 1)), strict=True
+        *(rectified_camera(node, f"P{i}", size) for i in (left, left + 1)), strict=True
     )
     T_imu_rect = _imu_from_rectified(node)
     if T_imu_rect is None:
@@ -32,7 +32,7 @@ def read_kitti_calibration(path: Path, left: int, size: tuple[int, int]) -> Cali
     return Calibration(make_rig(path, (cameras[0], cameras[1]), poses), None)
 
 
-def _read(path: Path) -> CalibrationNode:
+def read_keyed_numbers(path: Path) -> CalibrationNode:
     """Lines `key: numbers`; tracking writes some keys without the colon."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -44,7 +44,9 @@ def _read(path: Path) -> CalibrationNode:
     return CalibrationNode(path, "", {f[0].rstrip(":"): f[1:] for f in fields})
 
 
-def _camera(node: CalibrationNode, key: str, size: tuple[int, int]) -> tuple[Camera, FloatArray]:
+def rectified_camera(
+    node: CalibrationNode, key: str, size: tuple[int, int]
+) -> tuple[Camera, FloatArray]:
     """A rectified camera and its pose T_rect_cam."""
     P = node.numbers(key, (3, 4))
     K = P[:, :3]
@@ -64,13 +66,14 @@ def _imu_from_rectified(node: CalibrationNode) -> FloatArray | None:
         missing = "R0_rect" if names[0] is None else "Tr_velo_to_cam"
         raise node.fail(missing, "this key is missing beside the IMU's", "add it")
     R_rect_cam = node.numbers(names[0], (3, 3))
-    T_rect_cam = _rigid(node, names[0], np.column_stack([R_rect_cam, np.zeros(3)]))
-    T_cam_velo = _rigid(node, names[1], node.numbers(names[1], (3, 4)))
-    T_velo_imu = _rigid(node, imu_name, node.numbers(imu_name, (3, 4)))
+    T_rect_cam = rigid_part(node, names[0], np.column_stack([R_rect_cam, np.zeros(3)]))
+    T_cam_velo = rigid_part(node, names[1], node.numbers(names[1], (3, 4)))
+    T_velo_imu = rigid_part(node, imu_name, node.numbers(imu_name, (3, 4)))
     return se3.inverse(T_rect_cam @ T_cam_velo @ T_velo_imu)
 
 
-def _rigid(node: CalibrationNode, key: str, matrix: FloatArray) -> FloatArray:
+def rigid_part(node: CalibrationNode, key: str, matrix: FloatArray) -> FloatArray:
+    """The rigid motion (4, 4) of a 3x4 matrix that stands under `key`."""
     R = matrix[:, :3]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
         raise node.fail(key, "not a rotation matrix")

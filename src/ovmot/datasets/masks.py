@@ -9,6 +9,7 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,6 +20,14 @@ from ovmot.geometry.arrays import Image
 from ovmot.types import Event, StereoFrame
 
 _CAMERAS = ("cam0", "cam1")
+
+
+class MaskSource(Protocol):
+    """Gives the masks of a frame."""
+
+    def of(self, timestamp_ns: int) -> tuple[Image | None, Image | None]:
+        """Left and right; None where nothing is masked. Raises `InputError`."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +59,35 @@ def open_masks(folder: Path, rig: StereoRig) -> Masks:
     return Masks(folder, sizes, (left, right))
 
 
-def with_masks(stream: Generator[Event, None, None], masks: Masks) -> Generator[Event, None, None]:
-    """The events, each stereo frame with its masks; the stream is closed with this one."""
+@dataclass(frozen=True, slots=True)
+class FixedMasks:
+    """The same masks for all frames."""
+
+    always: tuple[Image | None, Image | None]
+
+    def of(self, timestamp_ns: int) -> tuple[Image | None, Image | None]:
+        """Those masks."""
+        return self.always
+
+
+def open_mask_files(files: tuple[Path | None, Path | None], rig: StereoRig) -> FixedMasks:
+    """Masks of two pictures, each optional; raises `InputError` for one of another size."""
+    sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
+    left, right = (
+        None if file is None else _read(file, size) for file, size in zip(files, sizes, strict=True)
+    )
+    return FixedMasks((left, right))
+
+
+def with_masks(
+    stream: Generator[Event, None, None], masks: MaskSource
+) -> Generator[Event, None, None]:
+    """The events, each stereo frame with these masks too; the stream is closed with this one."""
     with closing(stream):
         for event in stream:
             if isinstance(event, StereoFrame):
                 left, right = masks.of(event.timestamp_ns)
+                left, right = _joined(event.left_mask, left), _joined(event.right_mask, right)
                 yield replace(event, left_mask=left, right_mask=right)
             else:
                 yield event

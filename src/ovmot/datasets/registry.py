@@ -10,9 +10,14 @@ from ovmot.datasets.bag import read_bag
 from ovmot.datasets.bag_file import bag_at
 from ovmot.datasets.bag_topics import BagTopics
 from ovmot.datasets.euroc import EurocReader
+from ovmot.datasets.four_seasons import FourSeasonsReader
 from ovmot.datasets.kaist import KaistReader
 from ovmot.datasets.kitti import KittiReader
+from ovmot.datasets.kitti_raw import KittiRawReader
 from ovmot.datasets.sequence import FolderSequence, RecordedSequence
+from ovmot.datasets.tum_vi import TumViReader
+from ovmot.datasets.uzh_fpv import UzhFpvReader
+from ovmot.datasets.viode import ViodeReader
 from ovmot.errors import InputError
 
 
@@ -42,6 +47,11 @@ READERS: dict[str, Reader] = {
     "euroc": EurocReader(),
     "kaist": KaistReader(),
     "kitti": KittiReader(),
+    "kitti_raw": KittiRawReader(),
+    "tum_vi": TumViReader(),
+    "viode": ViodeReader(),
+    "uzh_fpv": UzhFpvReader(),
+    "4seasons": FourSeasonsReader(),
 }
 
 
@@ -49,7 +59,7 @@ def open_recording(
     path: Path,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | None = None,
+    calibration: Path | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
 ) -> RecordedSequence:
@@ -70,13 +80,13 @@ def open_sequence(
     path: Path,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | None = None,
+    calibration: Path | Calibration | None = None,
     imu_max_gap_s: float | None = None,
 ) -> FolderSequence:
     """Describe the sequence in a folder; no image is decoded.
 
     `format` is a key of `READERS` or None to recognise it; `sequence` chooses where a folder
-    holds several; `calibration` is a Kalibr chain file, or a folder with one, in place of the data
+    holds several; `calibration`, or a Kalibr chain file or folder with one, is in place of the data
     set's own; `imu_max_gap_s` is the setting `imu.max_gap_s`.
     Raises `InputError` and its children, each with file, row and remedy.
     """
@@ -84,7 +94,7 @@ def open_sequence(
         raise InputError.at(path, "no such folder or bag", _GIVE)
     if not path.is_dir():
         raise InputError.at(path, "not a folder, and not a bag", _GIVE)
-    given = None if calibration is None else read_kalibr(calibration)
+    given = read_kalibr(calibration) if isinstance(calibration, Path) else calibration
     gap = _gap(imu_max_gap_s)
     if format is not None:
         if format not in READERS:
@@ -92,7 +102,7 @@ def open_sequence(
         return READERS[format].read(path, sequence, given, gap)
     kinds = recognise(path)
     if not kinds and sequence is not None and len(recognise(path / sequence)) == 1:
-        return open_sequence(path / sequence, None, None, calibration, imu_max_gap_s)
+        return open_sequence(path / sequence, None, None, given, imu_max_gap_s)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {reader.needs}" for kind, reader in READERS.items())

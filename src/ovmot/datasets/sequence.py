@@ -12,6 +12,7 @@ from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
+from ovmot.datasets.segmentation import Segmentation
 from ovmot.errors import DatasetError
 from ovmot.formats import ns_to_seconds
 from ovmot.geometry.arrays import Image, IntArray
@@ -31,14 +32,15 @@ class StoredImage:
 StoredPair = tuple[StoredImage, StoredImage]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedSequence(ABC):
     """M stereo pairs, wherever they are stored, and the IMU beside them.
 
     `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
-    `warnings` are sentences for the user; `counts` the numbers behind them.
+    `segmentation` is there where the data has pictures of what each pixel shows. `warnings` are
+    sentences for the user; `counts` the numbers behind them.
     """
 
     kind: str
@@ -51,6 +53,7 @@ class RecordedSequence(ABC):
     frame_number: IntArray
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
+    segmentation: Segmentation | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
@@ -60,7 +63,7 @@ class RecordedSequence(ABC):
         """The left and right images of frames `first` to `stop - 1`, in order, one by one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FolderSequence(RecordedSequence):
     """Stereo pairs in files; `decode` turns a file into a grey image."""
 
@@ -88,6 +91,7 @@ def assemble(
     decode: Decode,
     findings: Findings,
     numbers: IntArray | None = None,
+    segmentation: Segmentation | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 
@@ -111,6 +115,7 @@ def assemble(
         decode=decode,
         warnings=tuple(findings.warnings),
         counts=dict(findings.counts),
+        segmentation=segmentation,
     )
 
 

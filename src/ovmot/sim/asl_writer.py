@@ -18,6 +18,7 @@ from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.sim.imu import SimulatedImu
 from ovmot.sim.sequence_files import (
+    by_stamp,
     generators,
     imu_samples,
     make_folders,
@@ -87,14 +88,25 @@ def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator
     _write_imu(folder / _IMU, simulation, imu)
     _write_states(folder / _STATES, simulation, imu)
     write_imu_truth(folder, simulation, imu)
-    yield from write_frames(folder, simulation, left, right, picture_rng)
+    yield from write_frames(folder, simulation, by_stamp(left, right), picture_rng)
+
+
+def write_listed(camera: Path, camera_ns: IntArray) -> None:
+    """`data.csv` of a camera: stamps and file names."""
+    rows = "".join(f"{t},{t}.png\n" for t in camera_ns)
+    (camera / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}", encoding="utf-8")
+
+
+def write_asl_imu(path: Path, imu: SimulatedImu) -> None:
+    """`data.csv` of the IMU: ns, gyro, accel."""
+    values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
+    write_rows(path, imu.data.timestamp_ns, values, _IMU_HEADER)
 
 
 def _write_camera(
     folder: Path, camera: Camera, T_imu_cam: FloatArray, frame_hz: float, camera_ns: IntArray
 ) -> None:
-    rows = "".join(f"{t},{t}.png\n" for t in camera_ns)
-    (folder / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}", encoding="utf-8")
+    write_listed(folder, camera_ns)
     values = {
         "sensor_type": "camera",
         "comment": "simulated",
@@ -111,8 +123,7 @@ def _write_camera(
 
 def _write_imu(folder: Path, simulation: Simulation, imu: SimulatedImu) -> None:
     """data.csv, and sensor.yaml where the IMU has noise: readers refuse densities of zero."""
-    values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
-    write_rows(folder / "data.csv", imu.data.timestamp_ns, values, _IMU_HEADER)
+    write_asl_imu(folder / "data.csv", imu)
     noise = {key: getattr(simulation.imu.noise, name) for name, key in NOISE_KEYS.items()}
     if min(noise.values()) > 0.0:
         sensor = {"sensor_type": "imu", "comment": "simulated", "T_BS": _matrix(np.eye(4))}

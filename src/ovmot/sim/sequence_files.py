@@ -5,6 +5,7 @@ Every written sequence holds, beside what its format asks for, the truth in `tru
 - `<ns>.png`: the object id at every left pixel, 0 where no mover is seen;
 - `depth/<ns>.png`: the left view's depth as 16-bit integers, 256 to the metre (the convention of
   KITTI's depth maps); 0 in the sky, beyond 255.99 m and where the lens has no ray;
+- `poses.csv`: ns and the IMU's pose, where the format itself has no place for it;
 - `imu.csv`: ns and the true gyro and accel bias of every IMU sample;
 - `imu_errors.yaml`: the IMU's systematic errors and time offset, where it has any;
 - `objects.json`: the rig's pose and all movers at every frame. It is written last and in one piece:
@@ -13,7 +14,7 @@ Every written sequence holds, beside what its format asks for, the truth in `tru
 
 import json
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,11 +22,15 @@ import cv2
 import numpy as np
 
 from ovmot.errors import InputError
+from ovmot.geometry import so3
 from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
 from ovmot.sim.imu import SimulatedImu, simulated_imu
 from ovmot.sim.render import RenderedFrame, render_stereo
 from ovmot.sim.simulation import Simulation
 from ovmot.sim.truth import depth_image, frame_truth, write_imu_errors
+
+SavePictures = Callable[[RenderedFrame], None]
+"""Writes the pictures of a frame where a format has them; called in threads."""
 
 _IMU_LEAD_S, _IMU_TAIL_S = 0.5, 0.3
 _WRITERS, _FRAMES_IN_FLIGHT = 2, 4
@@ -78,13 +83,25 @@ def imu_samples(simulation: Simulation, rng: np.random.Generator) -> SimulatedIm
     )  # fmt: skip
 
 
-def write_rows(path: Path, times: IntArray, values: FloatArray, header: str = "") -> None:
+def write_true_poses(folder: Path, simulation: Simulation) -> None:
+    """truth/poses.csv: ns, IMU position, quaternion w x y z."""
+    times = truth_times(simulation)
+    T_world_imu = simulation.path.pose(times)
+    wxyz = so3.to_quaternion(T_world_imu[:, :3, :3])[:, [3, 0, 1, 2]]
+    poses = np.concatenate([T_world_imu[:, :3, 3], wxyz], axis=1)
+    write_rows(folder / "truth/poses.csv", times, poses)
+
+
+def write_rows(
+    path: Path, times: IntArray, values: FloatArray, header: str = "", separator: str = ","
+) -> None:
     """A line per row: the stamp as an integer, then the values with nine decimals."""
     with path.open("w", encoding="utf-8") as file:
         if header:
             file.write(f"{header}\n")
         for time_ns, row in zip(times.tolist(), values.tolist(), strict=True):
-            file.write(f"{time_ns}," + ",".join(f"{x:.9f}" for x in row) + "\n")
+            fields = (str(time_ns), *(f"{x:.9f}" for x in row))
+            file.write(separator.join(fields) + "\n")
 
 
 def write_imu_truth(folder: Path, simulation: Simulation, imu: SimulatedImu) -> None:
@@ -96,10 +113,21 @@ def write_imu_truth(folder: Path, simulation: Simulation, imu: SimulatedImu) -> 
     write_imu_errors(folder / "truth/imu_errors.yaml", errors, offset_s)
 
 
+def by_stamp(left: Path, right: Path) -> SavePictures:
+    """Pictures named `<ns>.png` in a folder of each camera."""
+
+    def save(frame: RenderedFrame) -> None:
+        name = f"{frame.frame.timestamp_ns}.png"
+        write_png(left / name, frame.frame.left)
+        write_png(right / name, frame.frame.right)
+
+    return save
+
+
 def write_frames(
-    folder: Path, simulation: Simulation, left: Path, right: Path, rng: np.random.Generator
+    folder: Path, simulation: Simulation, save: SavePictures, rng: np.random.Generator
 ) -> Iterator[int]:
-    """Render the frames and write them into `left` and `right`, with their truth.
+    """Render the frames and have their pictures saved; their truth goes into `folder`.
 
     Yields each frame's time in ns when all its pictures are on disk; pictures are encoded in
     threads of their own. Raises `OSError` where they can not be written.
@@ -113,7 +141,7 @@ def write_frames(
     with ThreadPoolExecutor(max_workers=_WRITERS) as pool:
         for frame in frames:
             time_ns = frame.frame.timestamp_ns
-            pending.append((time_ns, pool.submit(_write_frame, folder, left, right, frame)))
+            pending.append((time_ns, pool.submit(_write_frame, folder, save, frame)))
             entries.append(frame_truth(simulation, time_ns, frame.left.object_id))
             if len(pending) >= _FRAMES_IN_FLIGHT:
                 yield _finished(*pending.popleft())
@@ -129,15 +157,14 @@ def _finished(time_ns: int, job: Future[None]) -> int:
     return time_ns
 
 
-def _write_frame(folder: Path, left: Path, right: Path, frame: RenderedFrame) -> None:
+def _write_frame(folder: Path, save: SavePictures, frame: RenderedFrame) -> None:
     name = f"{frame.frame.timestamp_ns}.png"
-    _write_png(left / name, frame.frame.left)
-    _write_png(right / name, frame.frame.right)
-    _write_png(folder / "truth" / name, frame.left.object_id)
-    _write_png(folder / "truth/depth" / name, depth_image(frame.left.depth))
+    save(frame)
+    write_png(folder / "truth" / name, frame.left.object_id)
+    write_png(folder / "truth/depth" / name, depth_image(frame.left.depth))
 
 
-def _write_png(path: Path, image: AnyArray) -> None:
+def write_png(path: Path, image: AnyArray) -> None:
     """Encoded in memory, so that a full disk is an error and not a short file."""
     _, data = cv2.imencode(".png", image, _PNG_FAST)
     path.write_bytes(data.tobytes())

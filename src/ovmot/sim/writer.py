@@ -17,6 +17,7 @@ from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.sim.sequence_files import (
+    by_stamp,
     generators,
     imu_samples,
     make_folders,
@@ -24,6 +25,7 @@ from ovmot.sim.sequence_files import (
     write_frames,
     write_imu_truth,
     write_rows,
+    write_true_poses,
 )
 from ovmot.sim.simulation import Simulation
 
@@ -67,7 +69,8 @@ def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator
     stamps = "".join(f"{t}\n" for t in simulation.camera_ns)
     (folder / "sensor_data/stereo_stamp.csv").write_text(stamps)
     # a grey scene: the raw Bayer mosaic of every colour pattern is the grey picture itself
-    yield from write_frames(folder, simulation, folder / _LEFT, folder / _RIGHT, picture_rng)
+    save = by_stamp(folder / _LEFT, folder / _RIGHT)
+    yield from write_frames(folder, simulation, save, picture_rng)
 
 
 def _write_imu(folder: Path, simulation: Simulation, rng: np.random.Generator) -> None:
@@ -87,12 +90,9 @@ def _write_imu(folder: Path, simulation: Simulation, rng: np.random.Generator) -
 
 def _write_poses(folder: Path, simulation: Simulation) -> None:
     """truth/poses.csv of the IMU, and global_pose.csv of the vehicle."""
+    write_true_poses(folder, simulation)
     times = truth_times(simulation)
-    T_world_imu = simulation.path.pose(times)
-    wxyz = so3.to_quaternion(T_world_imu[:, :3, :3])[:, [3, 0, 1, 2]]
-    poses = np.concatenate([T_world_imu[:, :3, 3], wxyz], axis=1)
-    write_rows(folder / "truth/poses.csv", times, poses)
-    T_utm_vehicle = T_world_imu @ np.linalg.inv(simulation.T_vehicle_imu)
+    T_utm_vehicle = simulation.path.pose(times) @ np.linalg.inv(simulation.T_vehicle_imu)
     T_utm_vehicle[:, :3, 3] += _UTM_ORIGIN_M
     write_rows(folder / "global_pose.csv", times, T_utm_vehicle[:, :3].reshape(-1, 12))
 

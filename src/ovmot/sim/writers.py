@@ -4,10 +4,24 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ovmot.sim.asl_writer import write_asl
+from ovmot.sim.four_seasons_writer import write_four_seasons
+from ovmot.sim.kitti_raw_writer import write_kitti_extract, write_kitti_sync
 from ovmot.sim.simulation import Simulation
+from ovmot.sim.tum_vi_writer import write_tum_vi
+from ovmot.sim.uzh_fpv_writer import write_uzh_fpv
+from ovmot.sim.viode_writer import write_viode
 from ovmot.sim.writer import write_kaist
 
 Writer = Callable[[Path, Simulation, int], Iterator[int]]
 """(folder, simulation, seed) -> the time in ns of each frame, when it is on disk."""
 
-WRITERS: dict[str, Writer] = {"kaist": write_kaist, "asl": write_asl}
+WRITERS: dict[str, Writer] = {
+    "kaist": write_kaist,
+    "asl": write_asl,
+    "kitti_sync": write_kitti_sync,
+    "kitti_extract": write_kitti_extract,
+    "tum_vi": write_tum_vi,
+    "viode": write_viode,
+    "uzh_fpv": write_uzh_fpv,
+    "4seasons": write_four_seasons,
+}
