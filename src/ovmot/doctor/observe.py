@@ -14,11 +14,14 @@ from ovmot.frontend.tracker import StereoTracker
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.types import FrontendFrame, ImuData, StereoFrame
 
 N_STRETCHES, STRETCH_FRAMES = 3, 30
 _PIXEL_SIGMA = 0.5
-_ROTATION_SIGMA = 0.1  # rad: how far a frame's rotation may differ from the last one's
+_ROTATION_SIGMAS = (0.004, 0.02)  # rad: how far the rays mislead, by and large and at most
+_ROUNDS = 5
+_LEAST_POINTS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +107,7 @@ def _stretch(
             now, tested = tracker.track(event, T_now_before)
             turn = None
             if before is not None:
-                moved = camera_motion(before, now, sequence.rig, T_now_before[:3, :3])
+                moved = camera_motion(before, now, sequence.rig)
                 T_now_before = np.eye(4) if moved is None else moved
                 rotation = np.full(3, np.nan) if moved is None else so3.log(moved[:3, :3].T)
                 turn = before.timestamp_ns, now.timestamp_ns, rotation
@@ -114,17 +117,40 @@ def _stretch(
         tracker.close()
 
 
-def camera_motion(
-    before: FrontendFrame, now: FrontendFrame, rig: StereoRig, R_now_before: FloatArray
-) -> FloatArray | None:
+def camera_motion(before: FrontendFrame, now: FrontendFrame, rig: StereoRig) -> FloatArray | None:
     """T_now_before (4, 4) of the left camera from the stereo points that both frames hold."""
     _, i, j = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
     sigma = _PIXEL_SIGMA / np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
-    motion = solve_stereo_motion(
-        before.normalized[i], now.normalized[j], rig.T_cam1_cam0, R_now_before, sigma,
-        _ROTATION_SIGMA,
-    )  # fmt: skip
-    return None if motion is None else motion.T_now_before
+    old, new = before.normalized[i], now.normalized[j]
+    depth = triangulate_stereo(old, rig.T_cam1_cam0)[:, 2]
+    far = depth >= np.nanmedian(depth) if np.isfinite(depth).any() else depth > 0.0
+    if far.sum() < _LEAST_POINTS:
+        return None
+    R_now_before = rotation_of_rays(old[far, :2], new[far, :2])
+    # a wide gate lets a passing body in, a narrow one may leave the scene out
+    tried = [
+        solve_stereo_motion(old, new, rig.T_cam1_cam0, R_now_before, sigma, rotation_sigma)
+        for rotation_sigma in _ROTATION_SIGMAS
+    ]
+    motions = [motion for motion in tried if motion is not None]
+    if not motions:
+        return None
+    return max(motions, key=lambda motion: int(motion.inlier.sum())).T_now_before
+
+
+def rotation_of_rays(before: FloatArray, now: FloatArray) -> FloatArray:
+    """R_now_before (3, 3) that best turns the rays of plane points `before` (N, 2) into `now`.
+
+    Wahba's problem by SVD (F. L. Markley, 1988), with the weights of least absolute deviations.
+    """
+    rays = [np.concatenate([xy, np.ones((len(xy), 1))], axis=1) for xy in (before, now)]
+    f0, f1 = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
+    weight, R = np.ones(len(f0)), np.eye(3)
+    for _ in range(_ROUNDS):
+        R = so3.project_to_rotation((weight[:, None] * f1).T @ f0)
+        off = np.linalg.norm(f1 - f0 @ R.T, axis=1)
+        weight = 1.0 / np.maximum(off, 1e-3)
+    return R
 
 
 def _joined(turns: list[tuple[int, int, FloatArray]]) -> Turns:
