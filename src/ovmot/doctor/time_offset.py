@@ -20,7 +20,7 @@ from ovmot.types import ImuData
 SEARCH_S, STEP_S = 0.3, 0.005
 _LEAST_PAIRS = 15
 _LEAST_RATE_RPS = 0.01
-_NOISE_RPS = 0.05  # what far points and passing bodies can make of a rig that stands
+_NOISE_RPS = 0.02  # what far points and passing bodies can make of a rig that stands
 _LEAST_AGREEMENT = 0.5  # share of the camera's turning that the gyroscope explains
 _SURE_S = 0.005  # a lag whose standard deviation is greater is not told
 _SIGMAS = 4.0
