@@ -1,49 +1,45 @@
 """What the doctor looks at: stretches of consecutive frames, matched by the front end."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
+from ovmot.cameras.camera import Camera
 from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.datasets.sequence import FolderSequence
 from ovmot.datasets.stream import events
 from ovmot.doctor.images import PairLook, look_at
 from ovmot.frontend.tracker import StereoTracker
-from ovmot.geometry import so3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.stereo_motion import solve_stereo_motion
-from ovmot.geometry.triangulation import triangulate_stereo
-from ovmot.types import FrontendFrame, ImuData, StereoFrame
+from ovmot.types import ImuData, StereoFrame
 
 N_STRETCHES, STRETCH_FRAMES = 3, 30
-_PIXEL_SIGMA = 0.5
-_ROTATION_SIGMAS = (0.004, 0.02)  # rad: how far the rays mislead, by and large and at most
+LEAST_POINTS = 8
 _ROUNDS = 5
-_LEAST_POINTS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Turns:
-    """Rotations of the left camera between N pairs of consecutive frames.
+class Seen:
+    """Stereo matches at one stamp, unchecked: ids (M,) and pixels (M, 4) of both sides."""
 
-    `start_ns`, `end_ns` (N,): stamps of the two frames; `rotation` (N, 3): rotation vector in rad
-    of the camera in its own axes, NaN where the images do not tell it.
-    """
-
-    start_ns: IntArray
-    end_ns: IntArray
-    rotation: FloatArray
+    timestamp_ns: int
+    feature_id: IntArray
+    pixels: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """What the sampled frames show: stereo matches (M, 4) in pixels, unchecked; turns; pictures."""
+    """What the sampled frames show: a tuple of matches for each stretch, and all the pictures."""
 
-    matches: FloatArray
-    turns: Turns
+    stretches: tuple[tuple[Seen, ...], ...]
     pictures: tuple[PairLook, ...]
+
+    @property
+    def matches(self) -> FloatArray:
+        """All stereo matches (N, 4) in pixels."""
+        return np.concatenate([seen.pixels for stretch in self.stretches for seen in stretch])
 
 
 def choose_stretches(frame_ns: IntArray, imu: ImuData | None) -> list[tuple[int, int]]:
@@ -80,62 +76,34 @@ def observe(
 
     Raises `DatasetError` for a broken image.
     """
-    matches: list[FloatArray] = []
-    turns: list[tuple[int, int, FloatArray]] = []
+    seen: list[tuple[Seen, ...]] = []
     pictures: list[PairLook] = []
     for first, last in stretches:
-        for frame, pixels, turn in _stretch(sequence, first, last):
-            matches.append(pixels)
-            pictures.append(look_at(frame, pictures[-1] if pictures else None))
-            if turn is not None:
-                turns.append(turn)
-            advance(len(pictures))
-    return Observations(np.concatenate(matches), _joined(turns), tuple(pictures))
-
-
-def _stretch(
-    sequence: FolderSequence, first: int, last: int
-) -> Iterator[tuple[StereoFrame, FloatArray, tuple[int, int, FloatArray] | None]]:
-    """Each frame, its stereo matches (M, 4), and its turn since the frame before."""
-    tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
-    before: FrontendFrame | None = None
-    T_now_before = np.eye(4)  # predicted by the last one
-    try:
+        tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
+        stretch: list[Seen] = []
+        T_now_before = np.eye(4)  # as the last one
         for event in events(sequence, first=first, last=last):
             if not isinstance(event, StereoFrame):
                 continue
-            now, tested = tracker.track(event, T_now_before)
-            turn = None
-            if before is not None:
-                moved = camera_motion(before, now, sequence.rig)
-                T_now_before = np.eye(4) if moved is None else moved
-                rotation = np.full(3, np.nan) if moved is None else so3.log(moved[:3, :3].T)
-                turn = before.timestamp_ns, now.timestamp_ns, rotation
-            yield event, tested.pixels, turn
-            before = now
-    finally:
+            _, tested = tracker.track(event, T_now_before)
+            stretch.append(Seen(event.timestamp_ns, tested.feature_id, tested.pixels))
+            if len(stretch) > 1:
+                T_now_before = se3.make(
+                    turned(stretch[-2], stretch[-1], sequence.rig.cam0), np.zeros(3)
+                )
+            pictures.append(look_at(event, pictures[-1] if pictures else None))
+            advance(len(pictures))
         tracker.close()
+        seen.append(tuple(stretch))
+    return Observations(tuple(seen), tuple(pictures))
 
 
-def camera_motion(before: FrontendFrame, now: FrontendFrame, rig: StereoRig) -> FloatArray | None:
-    """T_now_before (4, 4) of the left camera from the stereo points that both frames hold."""
+def turned(before: Seen, now: Seen, camera: Camera) -> FloatArray:
+    """R_now_before (3, 3) of the left camera by its rays alone, near ones too."""
     _, i, j = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
-    sigma = _PIXEL_SIGMA / np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
-    old, new = before.normalized[i], now.normalized[j]
-    depth = triangulate_stereo(old, rig.T_cam1_cam0)[:, 2]
-    far = depth >= np.nanmedian(depth) if np.isfinite(depth).any() else depth > 0.0
-    if far.sum() < _LEAST_POINTS:
-        return None
-    R_now_before = rotation_of_rays(old[far, :2], new[far, :2])
-    # a wide gate lets a passing body in, a narrow one may leave the scene out
-    tried = [
-        solve_stereo_motion(old, new, rig.T_cam1_cam0, R_now_before, sigma, rotation_sigma)
-        for rotation_sigma in _ROTATION_SIGMAS
-    ]
-    motions = [motion for motion in tried if motion is not None]
-    if not motions:
-        return None
-    return max(motions, key=lambda motion: int(motion.inlier.sum())).T_now_before
+    xy = [camera.normalize(pixels[:, :2]) for pixels in (before.pixels[i], now.pixels[j])]
+    ok = np.isfinite(np.concatenate(xy, axis=1)).all(axis=1)
+    return rotation_of_rays(xy[0][ok], xy[1][ok]) if ok.sum() >= LEAST_POINTS else np.eye(3)
 
 
 def rotation_of_rays(before: FloatArray, now: FloatArray) -> FloatArray:
@@ -151,9 +119,3 @@ def rotation_of_rays(before: FloatArray, now: FloatArray) -> FloatArray:
         off = np.linalg.norm(f1 - f0 @ R.T, axis=1)
         weight = 1.0 / np.maximum(off, 1e-3)
     return R
-
-
-def _joined(turns: list[tuple[int, int, FloatArray]]) -> Turns:
-    starts, ends = ([t[k] for t in turns] for k in (0, 1))
-    rotation = np.array([t[2] for t in turns]).reshape(-1, 3)
-    return Turns(np.array(starts, np.int64), np.array(ends, np.int64), rotation)

@@ -26,9 +26,11 @@ _LEAST_MATCHES = 60
 _BEYOND_PX = -1.5  # disparity of a point at infinity with its noise
 _BETTER, _GOOD = 0.25, 0.6  # by how much another calibration explains more, and how much at least
 _POOR = 0.5
-_TURN_WRONG_PX, _TURN_DOUBTFUL_PX = 3.0, 1.5  # rotation x focal length: twice and once the gate
-_GAIN = 0.05
+_TURN_WRONG_DEG, _TURN_DOUBTFUL_DEG = 0.5, 0.15  # good calibrations are true to 0.1°
+_GAIN_WRONG, _GAIN_DOUBTFUL = 0.25, 0.05  # of the share explained
+_COST_GAIN, _SIGMAS = 0.1, 4.0
 _MOST_FITTED = 2000
+_LOSS_PX = (20.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,23 @@ class Fit:
     @property
     def share(self) -> float:
         """Share of the matches explained."""
-        return float(self.explained.mean()) if len(self.explained) else 0.0
+        return float(self.explained.mean())
+
+    @property
+    def cost_px(self) -> float:
+        """Mean distance, that of a match not explained taken as the gate's threshold."""
+        return float(np.where(self.explained, np.abs(self.distance_px), _GATE_PX).mean())
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedRig:
+    """A rig with other stereo extrinsics, its fit, the angle by which its right camera is turned
+    against the one given, and the standard deviation of that, rad."""
+
+    rig: StereoRig
+    fit: Fit
+    angle: float
+    angle_std: float
 
 
 def fit_of(pixels: FloatArray, rig: StereoRig) -> Fit:
@@ -78,18 +96,26 @@ def disparities(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArray:
     return disparity
 
 
-def check_stereo(pixels: FloatArray, rig: StereoRig, places: Places) -> list[Finding]:
-    """Findings about the calibration from stereo matches (N, 4), tested by nothing before."""
+def check_stereo(
+    pixels: FloatArray, rig: StereoRig, places: Places
+) -> tuple[list[Finding], StereoRig]:
+    """Findings about the calibration from stereo matches (N, 4), tested by nothing before.
+
+    And the rig to go on with: the one given, or, where it is wrong, one that explains the matches.
+    """
     if len(pixels) < _LEAST_MATCHES:
         says = f"{len(pixels)} stereo matches only"
         remedy = "check that left and right show the same scene, sharp and lit"
-        return [Finding("stereo matches", Severity.DOUBTFUL, says, remedy)]
+        return [Finding("stereo matches", Severity.DOUBTFUL, says, remedy)], rig
     given = fit_of(pixels, rig)
     mistaken = _best_alternative(pixels, rig, given.share)
     if mistaken is not None:
-        return [_named(mistaken, given, pixels, places)]
-    turned, fit = fitted_extrinsics(pixels, rig, given)
-    return [_extrinsics(given, fit, turned, rig, places), _lens(pixels, rig, given, places)]
+        return [_named(mistaken, given, pixels, places)], mistaken[1]
+    turned = fitted_extrinsics(pixels, rig)
+    extrinsics = _extrinsics(given, turned, places)
+    fine = extrinsics.severity is Severity.FINE
+    best, fit = (rig, given) if fine else (turned.rig, turned.fit)
+    return [extrinsics, _lens(pixels, best, fit, places)], best
 
 
 def alternatives(rig: StereoRig) -> dict[str, StereoRig]:
@@ -152,7 +178,9 @@ def _named(
             f"the right camera's pose is written the other way round: {shares}, inverted"
             f" {fit.share:.0%}"
         )
-        return Finding("extrinsics", Severity.WRONG, says, f"invert {places.extrinsics}")
+        return Finding(
+            "extrinsics", Severity.WRONG, says, f"write the inverse into {places.extrinsics}"
+        )
     inner, outer = by_radius(pixels, given, other)
     says = (
         f"the lens model is mistaken: {shares}, with '{other.cam0.lens.name}' in place of the one"
@@ -162,30 +190,33 @@ def _named(
     return Finding("lens model", Severity.WRONG, says, f"change {places.lens}")
 
 
-def fitted_extrinsics(pixels: FloatArray, rig: StereoRig, given: Fit) -> tuple[StereoRig, Fit]:
-    """The rig with the stereo extrinsics that explain the matches best, and how well it does.
+def fitted_extrinsics(pixels: FloatArray, rig: StereoRig) -> TurnedRig:
+    """The rig with the stereo extrinsics that explain matches (N, 4) best.
 
     Five unknowns (rotation, direction of the baseline; its length can not be seen), robust least
-    squares of the distances to the epipolar lines; points keep to the front by the start.
+    squares of the distances to the epipolar lines, first with a wide loss, then with a narrow one.
     """
     chosen = pixels[:: -(-len(pixels) // _MOST_FITTED)]
     xy0, xy1 = rig.cam0.normalize(chosen[:, :2]), rig.cam1.normalize(chosen[:, 2:])
     ok = np.isfinite(xy0).all(1) & np.isfinite(xy1).all(1)
-    xy0, xy1 = xy0[ok], xy1[ok]
-    best, best_fit = rig, given
-    for spread_px in (20.0, 1.0):
+    xy0, xy1, delta, covariance = xy0[ok], xy1[ok], np.zeros(5), np.full((5, 5), np.inf)
 
-        def distances(delta: FloatArray) -> FloatArray:
-            return line_distances(xy0, xy1, moved(best, delta))  # noqa: B023 - used at once
+    def distances(d: FloatArray) -> FloatArray:
+        return line_distances(xy0, xy1, moved(rig, d))
 
-        solved = least_squares(
-            distances, np.zeros(5), loss="cauchy", f_scale=spread_px, x_scale=0.01
-        )
-        candidate = moved(best, solved.x)
-        fit = fit_of(pixels, candidate)
-        if spread_px > 1.0 or fit.share > best_fit.share:
-            best, best_fit = candidate, fit
-    return (best, best_fit) if best_fit.share > given.share else (rig, given)
+    for scale_px in _LOSS_PX if ok.sum() >= _LEAST_MATCHES else ():
+        solved = least_squares(distances, delta, loss="cauchy", f_scale=scale_px, x_scale=0.01)
+        delta = solved.x
+        variance = float(np.median(np.abs(solved.fun)) * 1.4826) ** 2
+        J = np.asarray(solved.jac, dtype=np.float64)
+        covariance = variance * np.linalg.pinv(J.T @ J)
+    turned = moved(rig, delta)
+    return TurnedRig(
+        turned,
+        fit_of(pixels, turned),
+        float(np.linalg.norm(delta[:3])),
+        float(np.sqrt(np.trace(covariance[:3, :3]))),
+    )
 
 
 def moved(rig: StereoRig, delta: FloatArray) -> StereoRig:
@@ -197,21 +228,23 @@ def moved(rig: StereoRig, delta: FloatArray) -> StereoRig:
     return replace(rig, T_imu_cam1=rig.T_imu_cam0 @ se3.inverse(T_cam1_cam0))
 
 
-def _extrinsics(given: Fit, fit: Fit, turned: StereoRig, rig: StereoRig, places: Places) -> Finding:
-    R = turned.T_cam1_cam0[:3, :3] @ rig.T_cam1_cam0[:3, :3].T
-    angle = float(np.linalg.norm(so3.log(R)))
-    angle_px = angle * rig.cam1.fx
+def _extrinsics(given: Fit, turned: TurnedRig, places: Places) -> Finding:
     typical = float(np.nanmedian(np.abs(given.distance_px)))
+    angle = float(np.degrees(turned.angle))
     says = (
         f"the calibration explains {given.share:.0%} of {len(given.explained)} stereo matches"
         f" (typical distance to the epipolar line {typical:.2g} px)"
     )
-    better = f"{says}, and {fit.share:.0%} with the right camera turned by {np.degrees(angle):.2g}°"
+    better = f"{says}, and {turned.fit.share:.0%} with the right camera turned by {angle:.2g}°"
     remedy = f"calibrate the two cameras again, or correct {places.extrinsics}"
-    gain = fit.share - given.share
-    if gain > _GAIN and angle_px > _TURN_WRONG_PX:
+    gain = turned.fit.share - given.share
+    sure = (
+        turned.fit.cost_px < (1.0 - _COST_GAIN) * given.cost_px
+        and turned.angle > _SIGMAS * turned.angle_std
+    )
+    if sure and (angle > _TURN_WRONG_DEG or gain > _GAIN_WRONG):
         return Finding("extrinsics", Severity.WRONG, better, remedy)
-    if gain > _GAIN and angle_px > _TURN_DOUBTFUL_PX:
+    if sure and (angle > _TURN_DOUBTFUL_DEG or gain > _GAIN_DOUBTFUL):
         return Finding("extrinsics", Severity.DOUBTFUL, better, remedy)
     if given.share < _POOR:
         remedy = f"check {places.images} (same instant, sharp, lit), then {places.extrinsics}"
@@ -219,9 +252,9 @@ def _extrinsics(given: Fit, fit: Fit, turned: StereoRig, rig: StereoRig, places:
     return Finding("extrinsics", Severity.FINE, says)
 
 
-def _lens(pixels: FloatArray, rig: StereoRig, given: Fit, places: Places) -> Finding:
+def _lens(pixels: FloatArray, rig: StereoRig, fit: Fit, places: Places) -> Finding:
     """Whether distances to the epipolar lines grow outwards, as under a wrong lens model."""
-    inner, outer = by_radius(pixels, given, rig)
+    inner, outer = by_radius(pixels, fit, rig)
     says = f"epipolar distances are {inner:.2g} px in the middle and {outer:.2g} px outside"
     if outer > max(2.0 * inner, _GATE_PX):
         remedy = f"calibrate the lenses again, or correct {places.lens}"

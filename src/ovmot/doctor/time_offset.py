@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.config import FilterSettings
-from ovmot.doctor.observe import Turns
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity
+from ovmot.doctor.turns import Turns
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.types import ImuData
 
