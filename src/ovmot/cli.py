@@ -32,6 +32,8 @@ from ovmot.batch.work import work
 from ovmot.config import describe_settings
 from ovmot.datasets.bag_topics import BagTopics
 from ovmot.datasets.registry import READERS, open_recording
+from ovmot.doctor.examine import examine, sampled_frames
+from ovmot.doctor.report import report_table, write_report
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
 from ovmot.openvins import load_run_config
@@ -271,6 +273,48 @@ def batch(
     for name, failure in summary.failures.items():
         _say(f"ovmot: {name}: {failure}")
     if summary.failures:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+def doctor(
+    data: Annotated[Path, typer.Argument(help="Folder of a recorded sequence, or a ROS bag.")],
+    format: Annotated[
+        str | None, typer.Option(help=f"Kind of data: {', '.join(READERS)}; else recognised.")
+    ] = None,
+    sequence: Annotated[
+        str | None, typer.Option(help="Which sequence, where the folder holds several.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
+    ] = None,
+    left: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's left camera; else found.")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's right camera; else found.")
+    ] = None,
+    imu: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's IMU; else found.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the findings as JSON as well.")
+    ] = None,
+) -> None:
+    """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if anything is."""
+    prepare_process()
+    recorded = open_recording(
+        data, format, sequence, calibration, topics=BagTopics(left, right, imu)
+    )
+    with (
+        _interruptible("nothing was written"),
+        _progress("doctor", sampled_frames(recorded)) as advance,
+    ):
+        report = examine(recorded, advance, calibration)
+    _show(report_table(report))
+    if json is not None:
+        write_report(json, report)
+    if report.is_wrong:
         raise typer.Exit(EXIT_FAILED)
 
 

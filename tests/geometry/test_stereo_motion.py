@@ -110,3 +110,13 @@ def test_points_that_do_not_agree_give_none() -> None:
     _, now, _ = stereo_pairs(rng, 20)  # other points
     R = T_NOW_BEFORE[:3, :3]
     assert solve_stereo_motion(before, now, T_CAM1_CAM0, R, SIGMA, ROTATION_SIGMA) is None
+
+
+def test_no_motion_where_a_wide_gate_mixes_two() -> None:
+    """Half of the scene slides aside: the mean motion explains no point, and that is no crash."""
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(5.0, 8.0, (100, 1))
+    p = np.concatenate([rng.uniform(-0.6, 0.6, (100, 2)), np.ones((100, 1))], axis=1) * depth
+    q = p + np.where(np.arange(100)[:, None] < 50, [0.3, 0.0, 0.0], 0.0)
+    before, now = project_stereo(p, T_CAM1_CAM0)[0], project_stereo(q, T_CAM1_CAM0)[0]
+    assert solve_stereo_motion(before, now, T_CAM1_CAM0, np.eye(3), SIGMA, 0.05) is None

@@ -168,6 +168,8 @@ def _refine_with_points(
         left = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
         distance = np.sqrt(np.maximum(left, 1e-12))
         inlier = distance**2 < 2.0 * _JOINT_GATE
+        if not inlier.any():  # the wide gate has mixed two motions into one that no point shows
+            break
         weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)[:, None, None]
         Jt, cross = np.swapaxes(J, -1, -2), np.swapaxes(A1, -1, -2) @ J
         K = np.swapaxes(cross, -1, -2) @ N_inverse

@@ -1,0 +1,75 @@
+"""All checks on one sequence."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import ImuSettings
+from ovmot.datasets.sequence import RecordedSequence
+from ovmot.doctor.images import check_images
+from ovmot.doctor.imu_units import (
+    check_accel_unit,
+    check_gravity,
+    check_gyro_range,
+    check_imu_saturation,
+)
+from ovmot.doctor.observe import choose_stretches, observe
+from ovmot.doctor.places import Places, places_of
+from ovmot.doctor.report import Finding, Report, Severity, make_report
+from ovmot.doctor.stereo_geometry import check_stereo
+from ovmot.doctor.time_offset import check_gyro, compare_turns
+from ovmot.doctor.timing import check_frame_times, check_imu_times
+from ovmot.doctor.turns import Turns, turns_of
+from ovmot.types import ImuData
+
+
+def sampled_frames(sequence: RecordedSequence) -> int:
+    """How many stereo pairs `examine` will look at."""
+    return sum(
+        last - first + 1 for first, last in choose_stretches(sequence.frame_ns, sequence.imu)
+    )
+
+
+def examine(
+    sequence: RecordedSequence,
+    advance: Callable[[int], None] = lambda done: None,
+    calibration: Path | None = None,
+) -> Report:
+    """Everything that is wrong or doubtful in a sequence, in plain words.
+
+    `advance` hears how many frames have been looked at; `calibration` is the file that stands in
+    place of the data's own, if one does. Raises `DatasetError` for a broken image.
+    """
+    places = places_of(sequence.kind, None if calibration is None else str(calibration))
+    seen = observe(sequence, choose_stretches(sequence.frame_ns, sequence.imu), advance)
+    of_stereo, rig = check_stereo(seen.matches, sequence.rig, places)
+    findings = [
+        *check_frame_times(sequence.frame_ns, sequence.counts),
+        *check_images(seen.pictures),
+        *of_stereo,
+    ]
+    if sequence.imu is None:
+        says = "the data has no IMU, or none that is fast enough"
+        findings.append(Finding("IMU", Severity.NOT_TOLD, says, "run it with --ego poses FILE"))
+    else:
+        turns = turns_of(seen.stretches, rig)
+        findings += _of_imu(sequence.imu, turns, rig, sequence.counts, places)
+    return make_report(sequence.name, sequence.kind, findings)
+
+
+def _of_imu(
+    imu: ImuData, turns: Turns, rig: StereoRig, counts: Mapping[str, int], places: Places
+) -> list[Finding]:
+    times = check_imu_times(imu.timestamp_ns, counts, ImuSettings().max_gap_s)
+    if len(imu) < 3:
+        return times
+    R_imu_cam0, offset_s = rig.T_imu_cam0[:3, :3], rig.time_offset_s
+    compared = compare_turns(turns, imu, offset_s)
+    return [
+        *times,
+        check_accel_unit(imu),
+        check_gyro_range(imu),
+        *check_imu_saturation(imu),
+        check_gravity(imu, R_imu_cam0, places.mount),
+        *check_gyro(compared, R_imu_cam0, offset_s, places),
+    ]

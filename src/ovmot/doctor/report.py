@@ -1,0 +1,79 @@
+"""What the doctor found, as values, as a table, and as JSON."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from rich.table import Column, Table
+
+from ovmot.errors import InputError
+
+
+class Severity(StrEnum):
+    """How bad it is; `not told` where the data does not hold what a check needs."""
+
+    WRONG = "wrong"
+    DOUBTFUL = "doubtful"
+    FINE = "fine"
+    NOT_TOLD = "not told"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """The outcome of one check: a sentence with its numbers, and what to do (empty if nothing)."""
+
+    check: str
+    severity: Severity
+    says: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """All findings about one sequence, worst first."""
+
+    name: str
+    kind: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether anything is `wrong`."""
+        return any(f.severity is Severity.WRONG for f in self.findings)
+
+
+def make_report(name: str, kind: str, findings: Iterable[Finding]) -> Report:
+    """The findings in order of severity, those of one severity in the order they came."""
+    order = list(Severity)
+    worst_first = sorted(findings, key=lambda f: order.index(f.severity))
+    return Report(name, kind, tuple(worst_first))
+
+
+_STYLES = {
+    Severity.WRONG: "bold red",
+    Severity.DOUBTFUL: "yellow",
+    Severity.FINE: "green",
+    Severity.NOT_TOLD: "dim",
+}
+
+
+def report_table(report: Report) -> Table:
+    """The report for a reader's eyes."""
+    table = Table(
+        Column(""), Column("check", no_wrap=True), Column("finding", overflow="fold"),
+        title=f"{report.name} ({report.kind})",
+    )  # fmt: skip
+    for f in report.findings:
+        text = f"{f.says}: {f.remedy}" if f.remedy else f.says
+        table.add_row(f"[{_STYLES[f.severity]}]{f.severity}[/]", f.check, text)
+    return table
+
+
+def write_report(path: Path, report: Report) -> None:
+    """The report as JSON; raises `InputError` where the file can not be written."""
+    try:
+        path.write_text(json.dumps(asdict(report), indent=2, ensure_ascii=False) + "\n", "utf-8")
+    except OSError as error:
+        raise InputError.at(path, f"cannot be written: {error.strerror}") from None

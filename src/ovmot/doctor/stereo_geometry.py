@@ -1,0 +1,271 @@
+"""Checks of the stereo calibration against the matches that the pictures give.
+
+A calibration explains a match if the right point lies near the left one's epipolar line, and on the
+side of infinity where points in front of both cameras are. Mistakes of the usual kinds are tried as
+other calibrations; the one that explains the matches is named.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.lens import LENSES
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import EpipolarSettings
+from ovmot.doctor.places import Places
+from ovmot.doctor.report import Finding, Severity
+from ovmot.errors import CalibrationError
+from ovmot.frontend.epipolar import epipolar_lines, scale_by_angle
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import BoolArray, FloatArray
+
+_GATE_PX = EpipolarSettings().threshold_px
+_LEAST_MATCHES = 60
+_BEYOND_PX = -1.5  # disparity of a point at infinity with its noise
+_BETTER, _GOOD = 0.25, 0.6  # by how much another calibration explains more, and how much at least
+_POOR = 0.5
+_TURN_WRONG_DEG, _TURN_DOUBTFUL_DEG = 0.5, 0.15  # good calibrations are true to 0.1°
+_GAIN_WRONG, _GAIN_DOUBTFUL = 0.25, 0.05  # of the share explained
+_COST_GAIN, _SIGMAS = 0.1, 4.0
+_MOST_FITTED = 2000
+_LOSS_PX = (20.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How well a rig explains matches (N, 4): signed distance (N,) of the right point to its line
+    and disparity (N,), both pixels, NaN outside the lens model; which are explained (N,)."""
+
+    distance_px: FloatArray
+    disparity_px: FloatArray
+    explained: BoolArray
+
+    @property
+    def share(self) -> float:
+        """Share of the matches explained."""
+        return float(self.explained.mean())
+
+    @property
+    def cost_px(self) -> float:
+        """Mean distance, that of a match not explained taken as the gate's threshold."""
+        return float(np.where(self.explained, np.abs(self.distance_px), _GATE_PX).mean())
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedRig:
+    """A rig with other stereo extrinsics, its fit, the angle by which its right camera is turned
+    against the one given, and the standard deviation of that, rad."""
+
+    rig: StereoRig
+    fit: Fit
+    angle: float
+    angle_std: float
+
+
+def fit_of(pixels: FloatArray, rig: StereoRig) -> Fit:
+    """How well the rig explains stereo matches (N, 4) in pixels."""
+    xy0, xy1 = rig.cam0.normalize(pixels[:, :2]), rig.cam1.normalize(pixels[:, 2:])
+    distance = line_distances(xy0, xy1, rig)
+    disparity = disparities(xy0, xy1, rig)
+    with np.errstate(invalid="ignore"):
+        explained = (np.abs(distance) <= _GATE_PX) & (disparity > _BEYOND_PX)
+    return Fit(distance, disparity, explained)
+
+
+def line_distances(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArray:
+    """Signed distances (N,) in pixels of right plane points (N, 2) to the left ones' lines."""
+    lines = epipolar_lines(xy0, rig.essential)
+    off: FloatArray = (lines[:, :2] * xy1).sum(-1) + lines[:, 2]
+    return off / scale_by_angle(lines, rig.cam1)
+
+
+def disparities(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArray:
+    """How far (N,), in pixels, right points lie from the left ones' points at infinity.
+
+    Positive towards where nearer points are: a point with a negative one is behind the cameras.
+    """
+    T = rig.T_cam1_cam0
+    ray = np.concatenate([xy0, np.ones((len(xy0), 1))], axis=1) @ T[:3, :3].T
+    infinity = ray[:, :2] / ray[:, 2:]
+    # dx1/d(1/z) of (ray + t/z) at infinity
+    nearer = T[:2, 3] - infinity * T[2, 3]
+    nearer = nearer / np.linalg.norm(nearer, axis=1, keepdims=True)
+    disparity: FloatArray = rig.cam1.fx * ((xy1 - infinity) * nearer).sum(-1)
+    return disparity
+
+
+def check_stereo(
+    pixels: FloatArray, rig: StereoRig, places: Places
+) -> tuple[list[Finding], StereoRig]:
+    """Findings about the calibration from stereo matches (N, 4), tested by nothing before.
+
+    And the rig to go on with: the one given, or, where it is wrong, one that explains the matches.
+    """
+    if len(pixels) < _LEAST_MATCHES:
+        says = f"{len(pixels)} stereo matches only"
+        remedy = "check that left and right show the same scene, sharp and lit"
+        return [Finding("stereo matches", Severity.DOUBTFUL, says, remedy)], rig
+    given = fit_of(pixels, rig)
+    mistaken = _best_alternative(pixels, rig, given.share)
+    if mistaken is not None:
+        return [_named(mistaken, given, pixels, places)], mistaken[1]
+    turned = fitted_extrinsics(pixels, rig)
+    extrinsics = _extrinsics(given, turned, places)
+    fine = extrinsics.severity is Severity.FINE
+    best, fit = (rig, given) if fine else (turned.rig, turned.fit)
+    return [extrinsics, _lens(pixels, best, fit, places)], best
+
+
+def alternatives(rig: StereoRig) -> dict[str, StereoRig]:
+    """What the rig would be if it had one of the usual mistakes, by the mistake's name.
+
+    With the `images` swapped, each side's pixels belong to the other camera; see `fit_of`.
+    """
+    inverted = replace(
+        rig, T_imu_cam1=rig.T_imu_cam0 @ rig.T_cam1_cam0,
+    )  # fmt: skip
+    swapped = replace(
+        rig, cam0=rig.cam1, cam1=rig.cam0, T_imu_cam0=rig.T_imu_cam1, T_imu_cam1=rig.T_imu_cam0
+    )
+    return {"images": swapped, "direction": inverted, **_other_lenses(rig)}
+
+
+def _other_lenses(rig: StereoRig) -> dict[str, StereoRig]:
+    """The rig with pinhole and fisheye model exchanged, the numbers left as they are."""
+    other = {"radtan": "equidistant", "none": "equidistant", "equidistant": "radtan"}
+    try:
+        cameras = [_with_lens(c, other[c.lens.name]) for c in rig.cameras]
+    except (KeyError, CalibrationError):
+        return {}
+    return {"lens": replace(rig, cam0=cameras[0], cam1=cameras[1])}
+
+
+def _with_lens(camera: Camera, name: str) -> Camera:
+    coefficients = np.resize(camera.distortion, 4) if len(camera.distortion) else np.zeros(4)
+    return replace(camera, lens=LENSES[name], distortion=coefficients)
+
+
+def _best_alternative(
+    pixels: FloatArray, rig: StereoRig, share: float
+) -> tuple[str, StereoRig, Fit] | None:
+    """The mistake that explains the matches clearly better than the rig as it is."""
+    found = None
+    best = max(share + _BETTER, _GOOD)
+    for name, other in alternatives(rig).items():
+        fit = fit_of(pixels, other)
+        if fit.share >= best:
+            found, best = (name, other, fit), fit.share + 1e-9
+    return found
+
+
+def _named(
+    mistaken: tuple[str, StereoRig, Fit], given: Fit, pixels: FloatArray, places: Places
+) -> Finding:
+    name, other, fit = mistaken
+    shares = f"the calibration explains {given.share:.0%} of {len(pixels)} stereo matches"
+    if name == "images":
+        behind = float(np.mean(given.disparity_px < _BEYOND_PX))
+        says = (
+            f"left and right are swapped: {shares} and puts {behind:.0%} behind the cameras,"
+            f" exchanged it explains {fit.share:.0%}"
+        )
+        remedy = f"exchange {places.images}, or the two cameras in the calibration"
+        return Finding("left and right", Severity.WRONG, says, remedy)
+    if name == "direction":
+        says = (
+            f"the right camera's pose is written the other way round: {shares}, inverted"
+            f" {fit.share:.0%}"
+        )
+        return Finding(
+            "extrinsics", Severity.WRONG, says, f"write the inverse into {places.extrinsics}"
+        )
+    inner, outer = by_radius(pixels, given, other)
+    says = (
+        f"the lens model is mistaken: {shares}, with '{other.cam0.lens.name}' in place of the one"
+        f" given {fit.share:.0%}; epipolar distances grow from {inner:.2g} px in the middle to"
+        f" {outer:.2g} px outside"
+    )
+    return Finding("lens model", Severity.WRONG, says, f"change {places.lens}")
+
+
+def fitted_extrinsics(pixels: FloatArray, rig: StereoRig) -> TurnedRig:
+    """The rig with the stereo extrinsics that explain matches (N, 4) best.
+
+    Five unknowns (rotation, direction of the baseline; its length can not be seen), robust least
+    squares of the distances to the epipolar lines, first with a wide loss, then with a narrow one.
+    """
+    chosen = pixels[:: -(-len(pixels) // _MOST_FITTED)]
+    xy0, xy1 = rig.cam0.normalize(chosen[:, :2]), rig.cam1.normalize(chosen[:, 2:])
+    ok = np.isfinite(xy0).all(1) & np.isfinite(xy1).all(1)
+    xy0, xy1, delta, covariance = xy0[ok], xy1[ok], np.zeros(5), np.full((5, 5), np.inf)
+
+    def distances(d: FloatArray) -> FloatArray:
+        return line_distances(xy0, xy1, moved(rig, d))
+
+    for scale_px in _LOSS_PX if ok.sum() >= _LEAST_MATCHES else ():
+        solved = least_squares(distances, delta, loss="cauchy", f_scale=scale_px, x_scale=0.01)
+        delta = solved.x
+        variance = float(np.median(np.abs(solved.fun)) * 1.4826) ** 2
+        J = np.asarray(solved.jac, dtype=np.float64)
+        covariance = variance * np.linalg.pinv(J.T @ J)
+    turned = moved(rig, delta)
+    return TurnedRig(
+        turned,
+        fit_of(pixels, turned),
+        float(np.linalg.norm(delta[:3])),
+        float(np.sqrt(np.trace(covariance[:3, :3]))),
+    )
+
+
+def moved(rig: StereoRig, delta: FloatArray) -> StereoRig:
+    """The rig with the right camera turned by delta[:3] rad, and the baseline by delta[3:]."""
+    T = rig.T_cam1_cam0
+    across = np.linalg.svd(T[None, :3, 3])[2][1:]  # square to the baseline
+    t = so3.exp(delta[3:] @ across) @ T[:3, 3]
+    T_cam1_cam0 = se3.make(so3.exp(delta[:3]) @ T[:3, :3], t)
+    return replace(rig, T_imu_cam1=rig.T_imu_cam0 @ se3.inverse(T_cam1_cam0))
+
+
+def _extrinsics(given: Fit, turned: TurnedRig, places: Places) -> Finding:
+    typical = float(np.nanmedian(np.abs(given.distance_px)))
+    angle = float(np.degrees(turned.angle))
+    says = (
+        f"the calibration explains {given.share:.0%} of {len(given.explained)} stereo matches"
+        f" (typical distance to the epipolar line {typical:.2g} px)"
+    )
+    better = f"{says}, and {turned.fit.share:.0%} with the right camera turned by {angle:.2g}°"
+    remedy = f"calibrate the two cameras again, or correct {places.extrinsics}"
+    gain = turned.fit.share - given.share
+    sure = (
+        turned.fit.cost_px < (1.0 - _COST_GAIN) * given.cost_px
+        and turned.angle > _SIGMAS * turned.angle_std
+    )
+    if sure and (angle > _TURN_WRONG_DEG or gain > _GAIN_WRONG):
+        return Finding("extrinsics", Severity.WRONG, better, remedy)
+    if sure and (angle > _TURN_DOUBTFUL_DEG or gain > _GAIN_DOUBTFUL):
+        return Finding("extrinsics", Severity.DOUBTFUL, better, remedy)
+    if given.share < _POOR:
+        remedy = f"check {places.images} (same instant, sharp, lit), then {places.extrinsics}"
+        return Finding("extrinsics", Severity.DOUBTFUL, says, remedy)
+    return Finding("extrinsics", Severity.FINE, says)
+
+
+def _lens(pixels: FloatArray, rig: StereoRig, fit: Fit, places: Places) -> Finding:
+    """Whether distances to the epipolar lines grow outwards, as under a wrong lens model."""
+    inner, outer = by_radius(pixels, fit, rig)
+    says = f"epipolar distances are {inner:.2g} px in the middle and {outer:.2g} px outside"
+    if outer > max(2.0 * inner, _GATE_PX):
+        remedy = f"calibrate the lenses again, or correct {places.lens}"
+        return Finding("lens model", Severity.DOUBTFUL, f"{says}: they grow", remedy)
+    return Finding("lens model", Severity.FINE, says)
+
+
+def by_radius(pixels: FloatArray, fit: Fit, rig: StereoRig) -> tuple[float, float]:
+    """Typical distances, pixels, in the inner and the outer third of the matches by radius."""
+    center = rig.cam0.intrinsics[2:4]
+    radius = np.linalg.norm(pixels[:, :2] - center, axis=1)
+    low, high = np.quantile(radius, (1.0 / 3.0, 2.0 / 3.0))
+    distance = np.where(np.isnan(fit.distance_px), np.inf, np.abs(fit.distance_px))
+    return float(np.median(distance[radius <= low])), float(np.median(distance[radius >= high]))

@@ -1,0 +1,73 @@
+"""How the left camera turns from frame to frame, by its stereo matches."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.doctor.observe import LEAST_POINTS, Seen, rotation_of_rays
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.geometry.triangulation import triangulate_stereo
+
+_PIXEL_SIGMA = 0.5
+_ROTATION_SIGMAS = (0.004, 0.02)  # rad: how far the rays mislead, by and large and at most
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Rotations of the left camera between N pairs of consecutive frames.
+
+    `start_ns`, `end_ns` (N,): stamps of the two frames; `rotation` (N, 3): rotation vector in rad
+    of the camera in its own axes, NaN where the images do not tell it.
+    """
+
+    start_ns: IntArray
+    end_ns: IntArray
+    rotation: FloatArray
+
+
+def turns_of(stretches: Sequence[Sequence[Seen]], rig: StereoRig) -> Turns:
+    """The turns within each stretch, the matches taken by this rig."""
+    pairs = [pair for stretch in stretches for pair in pairwise(stretch)]
+    return Turns(
+        np.array([before.timestamp_ns for before, _ in pairs], dtype=np.int64),
+        np.array([now.timestamp_ns for _, now in pairs], dtype=np.int64),
+        np.array([camera_turn(*pair, rig) for pair in pairs]).reshape(-1, 3),
+    )
+
+
+def camera_turn(before: Seen, now: Seen, rig: StereoRig) -> FloatArray:
+    """Rotation vector (3,), rad, of the left camera in its own axes; NaN if it is not told.
+
+    The far half of the points gives the rotation roughly, all of them together with the
+    translation give it well.
+    """
+    _, i, j = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
+    old, new = (_plane(pixels, rig) for pixels in (before.pixels[i], now.pixels[j]))
+    depth = triangulate_stereo(old, rig.T_cam1_cam0)[:, 2]
+    usable = np.isfinite(depth) & np.isfinite(new).all(axis=1)
+    if usable.sum() < LEAST_POINTS:
+        return np.full(3, np.nan)
+    old, new, depth = old[usable], new[usable], depth[usable]
+    far = depth >= np.median(depth)
+    rough = rotation_of_rays(old[far, :2], new[far, :2])
+    sigma = _PIXEL_SIGMA / np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+    # a wide gate lets a passing body in, a narrow one may leave the scene out
+    tried = [
+        solve_stereo_motion(old, new, rig.T_cam1_cam0, rough, sigma, rotation_sigma)
+        for rotation_sigma in _ROTATION_SIGMAS
+    ]
+    motions = [motion for motion in tried if motion is not None]
+    if not motions:
+        return np.full(3, np.nan)
+    best = max(motions, key=lambda motion: int(motion.inlier.sum()))
+    return so3.log(best.T_now_before[:3, :3].T)
+
+
+def _plane(pixels: FloatArray, rig: StereoRig) -> FloatArray:
+    left, right = rig.cam0.normalize(pixels[:, :2]), rig.cam1.normalize(pixels[:, 2:])
+    return np.concatenate([left, right], axis=1)
