@@ -210,7 +210,7 @@ def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_pat
     assert told["counts"]["frames_before_start"] == told["counts"]["frames_read"]
     assert told["options"] == {
         "ego": "filter", "start": "found", "ego_poses": None, "masks": None, "first": 0,
-        "last": None,
+        "last": None, "mask_files": None,
     }  # fmt: skip
 
 
