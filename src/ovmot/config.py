@@ -290,6 +290,8 @@ class ObjectSettings(Section):
     """Neighbouring groups that move alike and together are no wider across are one body."""
     min_points: int = Field(3, ge=3)
     """Bodies with fewer points are left out."""
+    max_excluded_share: float = Field(0.5, ge=0.0, le=1.0)
+    """Share of all points that bodies may take away from the ego filter."""
     noise: Literal["measured", "told"] = "measured"
     """Noise of stereo pairs: measured by their distances to epipolar lines, or told."""
     pixel_sigma: float = Field(0.3, gt=0.0)

@@ -14,6 +14,7 @@ from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
+from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.split import Split, split_points
 from ovmot.objects.tracker import ObjectTracker
@@ -161,6 +162,7 @@ class Pipeline:
         self._rng = np.random.default_rng(settings.objects.seed)
         self._object_settings = settings.objects
         self._noise_px = float("nan")
+        self._excluded = np.empty(0, dtype=np.int64)
         self._imu = ImuBuffer()
         self._ego: Ego | None = None
         self._table = empty_table()
@@ -269,6 +271,7 @@ class Pipeline:
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         now_ns = int(table.frame_ns[-1])
         tracks, points = self._objects.step(now_ns, measurements, points, T_world_cam0)
+        self._excluded = excluded_features(points, self._object_settings.max_excluded_share)
         ids, velocity = self._objects.expected(points)
         self._frontend.expect(ids, velocity @ T_world_cam0[:3, :3])
         return tracks, points
@@ -302,7 +305,8 @@ class Pipeline:
             table = bar_features(table, points.feature_id[dynamic])
         else:
             self.counts["frames_split_unsure"] += 1
-        return mark_suspects(table, points.feature_id, split.suspect), split
+        suspect = split.suspect | np.isin(points.feature_id, self._excluded)
+        return mark_suspects(table, points.feature_id, suspect), split
 
     def _before(self, frame: StereoFrame | FeatureFrame, watch: Stopwatch) -> FrameResult | None:
         """Track by the gyroscope's rotation, try to start; on success catch up with this frame."""
