@@ -3,7 +3,7 @@
 import numpy as np
 
 from ovmot.doctor.report import Finding, Severity
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.types import ImuData
 
 _GRAVITY = 9.81
@@ -114,7 +114,7 @@ def check_imu_saturation(imu: ImuData) -> list[Finding]:
     return findings
 
 
-def at_range_end(values: FloatArray, large: float) -> np.ndarray:
+def at_range_end(values: FloatArray, large: float) -> BoolArray:
     """Which of the values (N, 3) belong to a run of equal extremes, by axis, of size >= `large`."""
     out = np.zeros(values.shape, dtype=np.bool_)
     for axis, x in enumerate(values.T):

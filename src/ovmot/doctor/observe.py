@@ -1,6 +1,7 @@
 """What the doctor looks at: stretches of consecutive frames, matched by the front end."""
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,18 +83,17 @@ def observe(
         tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
         stretch: list[Seen] = []
         T_now_before = np.eye(4)  # as the last one
-        for event in events(sequence, first=first, last=last):
-            if not isinstance(event, StereoFrame):
-                continue
-            _, tested = tracker.track(event, T_now_before)
-            stretch.append(Seen(event.timestamp_ns, tested.feature_id, tested.pixels))
-            if len(stretch) > 1:
-                T_now_before = se3.make(
-                    turned(stretch[-2], stretch[-1], sequence.rig.cam0), np.zeros(3)
-                )
-            pictures.append(look_at(event, pictures[-1] if pictures else None))
-            advance(len(pictures))
-        tracker.close()
+        with closing(tracker):
+            for frame in events(sequence, first=first, last=last):
+                if not isinstance(frame, StereoFrame):
+                    continue
+                _, tested = tracker.track(frame, T_now_before)
+                stretch.append(Seen(frame.timestamp_ns, tested.feature_id, tested.pixels))
+                if len(stretch) > 1:
+                    R = turned(stretch[-2], stretch[-1], sequence.rig.cam0)
+                    T_now_before = se3.make(R, np.zeros(3))
+                pictures.append(look_at(frame, pictures[-1] if pictures else None))
+                advance(len(pictures))
         seen.append(tuple(stretch))
     return Observations(tuple(seen), tuple(pictures))
 

@@ -7,6 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from rich.table import Column, Table
+from rich.text import Text
 
 from ovmot.errors import InputError
 
@@ -63,11 +64,11 @@ def report_table(report: Report) -> Table:
     """The report for a reader's eyes."""
     table = Table(
         Column(""), Column("check", no_wrap=True), Column("finding", overflow="fold"),
-        title=f"{report.name} ({report.kind})",
+        title=Text(f"{report.name} ({report.kind})"),
     )  # fmt: skip
     for f in report.findings:
         text = f"{f.says}: {f.remedy}" if f.remedy else f.says
-        table.add_row(f"[{_STYLES[f.severity]}]{f.severity}[/]", f.check, text)
+        table.add_row(Text(f.severity, _STYLES[f.severity]), f.check, Text(text))
     return table
 
 

@@ -17,18 +17,18 @@ from ovmot.config import EpipolarSettings
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity
 from ovmot.errors import CalibrationError
-from ovmot.frontend.epipolar import epipolar_lines, scale_by_angle
+from ovmot.frontend.epipolar import epipolar_lines
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 _GATE_PX = EpipolarSettings().threshold_px
 _LEAST_MATCHES = 60
 _BEYOND_PX = -1.5  # disparity of a point at infinity with its noise
-_BETTER, _GOOD = 0.25, 0.6  # by how much another calibration explains more, and how much at least
+_BETTER, _GOOD = 0.75, 0.6  # cost against the given calibration's, and least share explained
 _POOR = 0.5
 _TURN_WRONG_DEG, _TURN_DOUBTFUL_DEG = 0.5, 0.15  # good calibrations are true to 0.1°
 _GAIN_WRONG, _GAIN_DOUBTFUL = 0.25, 0.05  # of the share explained
-_COST_GAIN, _SIGMAS = 0.1, 4.0
+_COST_GAIN, _SIGMAS = 0.03, 4.0
 _MOST_FITTED = 2000
 _LOSS_PX = (20.0, 1.0)
 
@@ -75,10 +75,21 @@ def fit_of(pixels: FloatArray, rig: StereoRig) -> Fit:
 
 
 def line_distances(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArray:
-    """Signed distances (N,) in pixels of right plane points (N, 2) to the left ones' lines."""
+    """Signed distances (N,) in pixels of right plane points (N, 2) to the left ones' lines.
+
+    To first order in the image itself: a line's normal n becomes A⁻ᵀ n under a map with derivative
+    A. At the rim of a fisheye a pixel is many times as wide in the plane as in the middle.
+    """
     lines = epipolar_lines(xy0, rig.essential)
     off: FloatArray = (lines[:, :2] * xy1).sum(-1) + lines[:, 2]
-    return off / scale_by_angle(lines, rig.cam1)
+    camera = rig.cam1
+    J, _ = camera.lens.distort_jacobian(xy1, camera.distortion)
+    A = np.array([[camera.fx, camera.intrinsics[4]], [0.0, camera.fy]]) @ J
+    (n_x, n_y), det = lines[:, :2].T, A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    normal = np.hypot(A[:, 1, 1] * n_x - A[:, 1, 0] * n_y, A[:, 0, 0] * n_y - A[:, 0, 1] * n_x)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        distance: FloatArray = off * np.abs(det) / normal
+    return distance
 
 
 def disparities(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArray:
@@ -108,10 +119,11 @@ def check_stereo(
         remedy = "check that left and right show the same scene, sharp and lit"
         return [Finding("stereo matches", Severity.DOUBTFUL, says, remedy)], rig
     given = fit_of(pixels, rig)
-    mistaken = _best_alternative(pixels, rig, given.share)
+    turned = fitted_extrinsics(pixels, rig)
+    to_beat = min(_BETTER * given.cost_px, turned.fit.cost_px)
+    mistaken = _best_alternative(pixels, rig, to_beat)
     if mistaken is not None:
         return [_named(mistaken, given, pixels, places)], mistaken[1]
-    turned = fitted_extrinsics(pixels, rig)
     extrinsics = _extrinsics(given, turned, places)
     fine = extrinsics.severity is Severity.FINE
     best, fit = (rig, given) if fine else (turned.rig, turned.fit)
@@ -148,16 +160,12 @@ def _with_lens(camera: Camera, name: str) -> Camera:
 
 
 def _best_alternative(
-    pixels: FloatArray, rig: StereoRig, share: float
+    pixels: FloatArray, rig: StereoRig, to_beat_px: float
 ) -> tuple[str, StereoRig, Fit] | None:
-    """The mistake that explains the matches clearly better than the rig as it is."""
-    found = None
-    best = max(share + _BETTER, _GOOD)
-    for name, other in alternatives(rig).items():
-        fit = fit_of(pixels, other)
-        if fit.share >= best:
-            found, best = (name, other, fit), fit.share + 1e-9
-    return found
+    """The mistake that explains most matches, and at less than this cost."""
+    tried = [(name, other, fit_of(pixels, other)) for name, other in alternatives(rig).items()]
+    better = [t for t in tried if t[2].cost_px < to_beat_px and t[2].share > _GOOD]
+    return min(better, key=lambda t: t[2].cost_px, default=None)
 
 
 def _named(

@@ -23,6 +23,7 @@ _LEAST_RATE_RPS = 0.01
 _NOISE_RPS = 0.02  # what far points and passing bodies can make of a rig that stands
 _LEAST_AGREEMENT = 0.5  # share of the camera's turning that the gyroscope explains
 _SURE_S = 0.005  # a lag whose standard deviation is greater is not told
+_SURE_RAD = 0.015  # an axis of turning that is seen less surely is not used
 _SIGMAS = 4.0
 _OFF_DEG = (4.0, 15.0)
 _SCALE_OFF = (0.1, 0.3)
@@ -32,15 +33,16 @@ _DEGREE = 180.0 / np.pi
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """The best lag and its standard deviation, s; the `agreement` there, the share of the camera's
-    turning that is explained; the camera's rms `rate_rps`, mean taken off; the main axis of the
-    gyroscope's turning (3,) and what B makes of it (3,), in the camera's axes."""
+    turning that is explained; the camera's rms `rate_rps`, mean taken off; the `axes` (K, 3) about
+    which the gyroscope turns enough, the main one first, and what B makes of them (K, 3), in the
+    camera's axes."""
 
     lag_s: float
     lag_std_s: float
     agreement: float
     rate_rps: float
-    axis: FloatArray
-    image_of_axis: FloatArray
+    axes: FloatArray
+    images_of_axes: FloatArray
 
 
 def compare_turns(turns: Turns, imu: ImuData, offset_s: float) -> Comparison | None:
@@ -69,14 +71,15 @@ def compare_turns(turns: Turns, imu: ImuData, offset_s: float) -> Comparison | N
         - _mean_rates(at, angle, start + lag - STEP_S, end + lag - STEP_S)
     ) @ B.T / (2.0 * STEP_S)  # fmt: skip
     noise = float((residual**2).mean())
-    axis = np.linalg.svd(gyro, full_matrices=False)[2][0]
+    _, size, axes = np.linalg.svd(gyro, full_matrices=False)
+    axes = axes[size >= min(np.sqrt(noise) / _SURE_RAD, size[0])]
     return Comparison(
         lag_s=lag,
         lag_std_s=float(np.sqrt(noise / max(float((_centred(slope) ** 2).sum()), 1e-300))),
         agreement=1.0 - float((residual**2).sum() / max(float((camera**2).sum()), 1e-300)),
         rate_rps=float(np.sqrt((camera**2).sum(1).mean())),
-        axis=axis,
-        image_of_axis=B @ axis,
+        axes=axes,
+        images_of_axes=axes @ B.T,
     )
 
 
@@ -167,7 +170,7 @@ def _time_offset(found: Comparison, offset_s: float) -> Finding:
 
 
 def _gyro_unit(found: Comparison, places: Places) -> Finding:
-    scale = float(np.linalg.norm(found.image_of_axis))
+    scale = float(np.linalg.norm(found.images_of_axes[0]))
     says = f"the images turn {scale:.3g} times as much as the gyroscope says"
     check, off = "gyroscope unit", abs(scale - 1.0)
     if off <= _SCALE_OFF[0]:
@@ -185,11 +188,12 @@ def _gyro_unit(found: Comparison, places: Places) -> Finding:
 
 
 def _mount(found: Comparison, R_imu_cam0: FloatArray, places: Places) -> Finding:
-    """The direction of the main axis of turning, seen by the camera and put there by extrinsics."""
-    expected = R_imu_cam0.T @ found.axis
-    seen = found.image_of_axis / max(float(np.linalg.norm(found.image_of_axis)), 1e-300)
-    angle = float(np.degrees(np.arccos(np.clip(expected @ seen, -1.0, 1.0))))
-    says = f"the main axis of turning lies {angle:.1f}° from where the extrinsics put it"
+    """The directions of the axes of turning, seen by the camera and put there by extrinsics."""
+    expected, seen = found.axes @ R_imu_cam0, found.images_of_axes
+    seen = seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-300)
+    cosine = float((expected * seen).sum(axis=1).min())
+    angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    says = f"an axis of turning lies {angle:.1f}° from where the extrinsics put it"
     check = "camera on IMU"
     if angle <= _OFF_DEG[0]:
         return Finding(check, Severity.FINE, says)

@@ -10,7 +10,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.doctor.observe import LEAST_POINTS, Seen, rotation_of_rays
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.geometry.stereo_motion import StereoMotion, solve_stereo_motion
 from ovmot.geometry.triangulation import triangulate_stereo
 
 _PIXEL_SIGMA = 0.5
@@ -56,16 +56,15 @@ def camera_turn(before: Seen, now: Seen, rig: StereoRig) -> FloatArray:
     far = depth >= np.median(depth)
     rough = rotation_of_rays(old[far, :2], new[far, :2])
     sigma = _PIXEL_SIGMA / np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+    best: StereoMotion | None = None
     # a wide gate lets a passing body in, a narrow one may leave the scene out
-    tried = [
-        solve_stereo_motion(old, new, rig.T_cam1_cam0, rough, sigma, rotation_sigma)
-        for rotation_sigma in _ROTATION_SIGMAS
-    ]
-    motions = [motion for motion in tried if motion is not None]
-    if not motions:
-        return np.full(3, np.nan)
-    best = max(motions, key=lambda motion: int(motion.inlier.sum()))
-    return so3.log(best.T_now_before[:3, :3].T)
+    for rotation_sigma in _ROTATION_SIGMAS:
+        motion = solve_stereo_motion(old, new, rig.T_cam1_cam0, rough, sigma, rotation_sigma)
+        if motion is not None and (best is None or motion.inlier.sum() > best.inlier.sum()):
+            best = motion
+        if best is not None and best.inlier.sum() > 0.5 * len(old):
+            break
+    return np.full(3, np.nan) if best is None else so3.log(best.T_now_before[:3, :3].T)
 
 
 def _plane(pixels: FloatArray, rig: StereoRig) -> FloatArray:
