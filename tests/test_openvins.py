@@ -15,7 +15,8 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import CalibrationError, InputError
-from ovmot.formats import read_tum
+from ovmot.evaluation.ego_truth import read_ego_truth
+from ovmot.formats import Trajectory, interpolate_poses, read_tum
 from ovmot.openvins import ALWAYS, PLAIN, WORDS, load_run_config
 from ovmot.sim.kalibr_files import write_chain
 from ovmot.types import ImuNoise
@@ -223,3 +224,46 @@ def test_the_chains_replace_the_calibration_of_the_data(config: Path, painted_eu
     assert sequence.rig == calibration.rig
     with pytest.raises(CalibrationError, match="no such calibration file"):
         open_sequence(painted_euroc, calibration=painted_euroc / "gone.yaml")
+
+
+@pytest.mark.slow
+def test_euroc_as_it_is_on_real_images(
+    data_root: Path, ovmot_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    folder = data_root / "euroc_mh01"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is missing")
+    config = FILES / "euroc" / "estimator_config.yaml"
+    options = ("--config", config, "--no-objects", "--last", 70)
+    outcome = ovmot_command("run", folder, "-o", tmp_path / "out", *options)
+    assert outcome.code == 0, outcome.err
+    assert_follows(tmp_path / "out", folder, moved_m=0.3, atol=0.03)
+
+
+@pytest.mark.slow
+def test_kaist_on_rendered_images(
+    data_root: Path, ovmot_command: Callable[..., Any], tmp_path: Path
+) -> None:
+    """The rendered rig's chain, since the real calibration is that of another rig."""
+    folder = data_root / "street_traffic"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is missing")
+    shutil.copytree(FILES / "kaist", tmp_path / "kaist")
+    config = tmp_path / "kaist" / "estimator_config.yaml"
+    edit(config, "use_mask: true", "use_mask: false")
+    write_chain(config.with_name("kalibr_imucam_chain.yaml"), open_sequence(folder).rig)
+    options = ("--config", config, "--no-objects", "--last", 70)
+    outcome = ovmot_command("run", folder, "-o", tmp_path / "out", *options)
+    assert outcome.code == 0, outcome.err
+    assert_follows(tmp_path / "out", folder, moved_m=5.0, atol=0.15)
+
+
+def assert_follows(out: Path, data: Path, moved_m: float, atol: float) -> None:
+    """Distances from the first pose agree with the truth's: free of where the world begins."""
+    found, truth = read_tum(out / "trajectory.tum"), read_ego_truth(data)
+    true = interpolate_poses(Trajectory(truth.timestamp_ns, truth.T_world_imu), found.timestamp_ns)
+    assert np.isfinite(true).all(axis=(1, 2)).mean() > 0.9
+    gone = [np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1) for T in (found.T_world_imu, true)]
+    known = np.isfinite(gone[1])
+    assert gone[1][known].max() > moved_m
+    np.testing.assert_allclose(gone[0][known], gone[1][known], atol=atol)

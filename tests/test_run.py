@@ -9,11 +9,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from ovmot import run as run_module
-from ovmot.config import ObjectSettings, Settings
+from ovmot.config import MaskSettings, ObjectSettings, Settings
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import DatasetError, InputError, OvmotError
 from ovmot.formats import ns_to_seconds
@@ -209,9 +210,33 @@ def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_pat
     assert "never started" in told["ended"]
     assert told["counts"]["frames_before_start"] == told["counts"]["frames_read"]
     assert told["options"] == {
-        "ego": "filter", "start": "found", "ego_poses": None, "masks": None, "first": 0,
-        "last": None, "mask_files": None,
+        "ego": "filter", "start": "found", "ego_poses": None, "masks": None,
+        "mask_files": None, "first": 0, "last": None,
     }  # fmt: skip
+
+
+def test_what_the_segmentation_shows_is_masked(painted_euroc: Path, tmp_path: Path) -> None:
+    """Id 5 is the upper half of the left pictures: no point comes from there."""
+    mav, out = painted_euroc / "mav0", tmp_path / "out"
+    picture = np.zeros((240, 320), dtype=np.uint8)
+    picture[:120] = 5
+    (mav / "cam0" / "segmentation").mkdir()
+    for stamp in STAMPS:
+        cv2.imwrite(str(mav / "cam0" / "segmentation" / f"{stamp}.png"), picture)
+    masked = SETTINGS.model_copy(update={"masks": MaskSettings(segmentation_ids=(5,))})
+    run(painted_euroc, out, masked, save_points=True)
+    rows = np.genfromtxt(out / "points.csv", delimiter=",", names=True)
+    assert len(rows) > 200
+    assert rows["v"].min() > 115.0
+    run(painted_euroc, out, SETTINGS, save_points=True, force=True)
+    assert np.genfromtxt(out / "points.csv", delimiter=",", names=True)["v"].min() < 60.0
+
+
+def test_masks_of_ids_need_segmentation_pictures(painted_euroc: Path, tmp_path: Path) -> None:
+    masked = SETTINGS.model_copy(update={"masks": MaskSettings(segmentation_ids=(5,))})
+    with pytest.raises(InputError, match=r"painted: has no segmentation pictures; leave out masks"):
+        run(painted_euroc, tmp_path / "out", masked)
+    assert not (tmp_path / "out").exists()
 
 
 def test_while_it_waits_it_says_why_once_a_second(painted_euroc: Path, tmp_path: Path) -> None:

@@ -160,3 +160,44 @@ def edit() -> Callable[[Path, str, str], None]:
         path.write_text(text.replace(old, new))
 
     return replace
+
+
+_RAW_CAMERA = """\
+S_{i}: 32 24
+K_{i}: 20 0 16 0 21 12 0 0 1
+D_{i}: -0.3 0.1 0.001 -0.002 0.01
+R_{i}: 1 0 0 0 1 0 0 0 1
+T_{i}: {t} 0 0
+S_rect_{i}: 32 24
+R_rect_{i}: 1 0 0 0 1 0 0 0 1
+P_rect_{i}: 18 0 16 {p} 0 18 12 0 0 0 1 0
+"""
+
+
+@pytest.fixture
+def kitti_raw(tmp_path: Path) -> Path:
+    """A date of KITTI raw with drive 0001 in both forms: four pairs, times 0.1 s apart."""
+    root = tmp_path / "2011_09_26"
+    for form, rate in (("sync", 10), ("extract", 100)):
+        drive = root / f"2011_09_26_drive_0001_{form}"
+        for camera in ("image_00", "image_01"):
+            write_images(drive / camera / "data", [f"{i:010d}.png" for i in range(4)])
+            times = (f"2011-09-26 13:02:{25 + 0.1 * i:.9f}\n" for i in range(4))
+            (drive / camera / "timestamps.txt").write_text("".join(times))
+        (drive / "oxts" / "data").mkdir(parents=True)
+        count = 1 + 3 * rate // 10
+        times = (f"2011-09-26 13:02:{25 + i / rate:.9f}\n" for i in range(count))
+        (drive / "oxts" / "timestamps.txt").write_text("".join(times))
+        for i in range(count):
+            packet = [float(k) for k in range(30)]
+            packet[11:14], packet[17:20] = [0.1, 0.2, 9.8], [0.01, 0.02, 0.001 * i]
+            text = " ".join(map(str, packet))
+            (drive / "oxts" / "data" / f"{i:010d}.txt").write_text(text)
+    (root / "calib_cam_to_cam.txt").write_text(
+        "calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.95e-02\n"
+        + _RAW_CAMERA.format(i="00", t=0, p=0)
+        + _RAW_CAMERA.format(i="01", t=-0.5, p=-9)
+    )
+    (root / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.1 -0.3\n")
+    (root / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n")
+    return root

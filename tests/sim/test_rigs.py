@@ -5,7 +5,15 @@ import pytest
 
 from ovmot.errors import InputError
 from ovmot.geometry import se3
-from ovmot.sim.rigs import fisheye_rig, held, looking_along, resized, street_rig
+from ovmot.sim.rigs import (
+    fisheye_rig,
+    held,
+    looking_along,
+    rectified,
+    resized,
+    street_rig,
+    without_distortion,
+)
 
 
 def test_a_resized_camera_sees_the_same_rays_at_the_same_places() -> None:
@@ -52,3 +60,28 @@ def test_a_held_rig_looks_along_and_keeps_its_baseline() -> None:
 def test_a_camera_can_not_look_up_and_stay_upright() -> None:
     with pytest.raises(ValueError, match="vertical"):
         looking_along(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 1.0]))
+
+
+def test_rectified_cameras_see_a_point_in_one_row_and_stand_where_they_stood() -> None:
+    rig = street_rig()
+    level = rectified(rig)
+    points_imu = np.array([[12.0, 3.0, 1.0], [30.0, -4.0, 0.5], [8.0, 0.0, -1.0]])
+    left, right = (
+        camera.project(se3.apply(se3.inverse(T), points_imu))
+        for camera, T in ((level.cam0, level.T_imu_cam0), (level.cam1, level.T_imu_cam1))
+    )
+    np.testing.assert_allclose(left[:, 1], right[:, 1], atol=1e-9)
+    assert np.all(left[:, 0] > right[:, 0])
+    np.testing.assert_array_equal(level.T_imu_cam0[:3, 3], rig.T_imu_cam0[:3, 3])
+    np.testing.assert_array_equal(level.T_imu_cam1[:3, 3], rig.T_imu_cam1[:3, 3])
+    assert level.T_imu_cam0[:3, 2] @ rig.T_imu_cam0[:3, 2] > 0.99
+    assert level.cam0.lens.name == level.cam1.lens.name == "none"
+
+
+def test_cameras_without_distortion_look_the_same_way() -> None:
+    rig = street_rig()
+    plain = without_distortion(rig)
+    xy = np.array([[0.3, -0.1]])
+    expected = xy * [rig.cam1.fx, rig.cam1.fy] + rig.cam1.intrinsics[2:4]
+    np.testing.assert_allclose(plain.cam1.denormalize(xy), expected, atol=1e-9)
+    np.testing.assert_array_equal(plain.T_imu_cam1, rig.T_imu_cam1)
