@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ovmot.config import Settings
-from ovmot.datasets import FolderSequence, events, open_sequence
+from ovmot.datasets import RecordedSequence, events, open_sequence
 from ovmot.errors import InputError
 from ovmot.pipeline import Pipeline
 from ovmot.run import make_start
@@ -54,7 +54,7 @@ def parse_arguments() -> argparse.Namespace:
     return arguments
 
 
-def measure(sequence: FolderSequence, runs: int) -> tuple[str, ...]:
+def measure(sequence: RecordedSequence, runs: int) -> tuple[str, ...]:
     """One row of the table."""
     decoding = time.perf_counter()
     stream = list(events(sequence))
@@ -75,7 +75,7 @@ def measure(sequence: FolderSequence, runs: int) -> tuple[str, ...]:
     )
 
 
-def run_once(sequence: FolderSequence, stream: list[Event]) -> tuple[float, dict[str, float]]:
+def run_once(sequence: RecordedSequence, stream: list[Event]) -> tuple[float, dict[str, float]]:
     """Wall seconds of feeding everything, and the mean milliseconds of each stage."""
     settings = Settings()
     pipeline = Pipeline(sequence.rig, settings, make_start(sequence, settings, None))

@@ -30,9 +30,12 @@ _INT64 = 2**63
 
 @dataclass(frozen=True, slots=True)
 class StampedTable:
-    """A table of a file: stamps (N,) in ns, values (N, K), and the file's row of each (N,)."""
+    """A table of a file: stamps (N,) in ns, values (N, K), and the file's row of each (N,).
 
-    path: Path
+    `path` may be words for a place that is no file, as a topic of a bag.
+    """
+
+    path: Path | str
     timestamp_ns: IntArray
     values: FloatArray
     row: IntArray

@@ -12,7 +12,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import Settings
 from ovmot.datasets.masks import open_masks, with_masks
-from ovmot.datasets.sequence import FolderSequence
+from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
 from ovmot.formats import read_ego_poses
@@ -65,7 +65,7 @@ class _Source:
 
 
 def run_sequence(
-    sequence: FolderSequence,
+    sequence: RecordedSequence,
     settings: Settings,
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
@@ -215,7 +215,7 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
     }
 
 
-def make_start(sequence: FolderSequence, settings: Settings, ego_poses: Path | None) -> Start:
+def make_start(sequence: RecordedSequence, settings: Settings, ego_poses: Path | None) -> Start:
     """Where the ego motion comes from: a pose file if one is given, else the filter."""
     if ego_poses is not None:
         ego = read_ego_poses(ego_poses, sequence.frame_ns)
@@ -248,7 +248,7 @@ def known_start(
     return KnownStart(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
 
 
-def imu_noise(sequence: FolderSequence, settings: Settings) -> ImuNoise:
+def imu_noise(sequence: RecordedSequence, settings: Settings) -> ImuNoise:
     """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
     told = settings.imu
     known = sequence.imu_noise or ImuNoise(*told.fallback)
@@ -310,7 +310,7 @@ def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> I
             counts["frames_without_pose"] += 1
 
 
-def _identity(sequence: FolderSequence) -> InputIdentity:
+def _identity(sequence: RecordedSequence) -> InputIdentity:
     stamps = sequence.frame_ns
     return InputIdentity(
         path=str(sequence.root.resolve()),

@@ -1,6 +1,6 @@
 """Which stereo frames a folder holds: files, stamps, and the pairs of left and right."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,11 +95,19 @@ def note_missing_images(
 def pair_images(
     left: Mapping[int, Path], right: Mapping[int, Path], root: Path, findings: Findings
 ) -> StereoListing:
-    """Pairs of equal stamp; what has no partner is dropped and counted.
+    """Pairs of equal stamp, as `paired_stamps`."""
+    both = paired_stamps(left.keys(), right.keys(), root, findings)
+    return StereoListing(
+        both, tuple(left[s] for s in both.tolist()), tuple(right[s] for s in both.tolist())
+    )
+
+
+def paired_stamps(left: Set[int], right: Set[int], root: Path, findings: Findings) -> IntArray:
+    """Stamps (M,) in ns that both cameras have, rising; what has no partner is counted.
 
     Raises `DatasetError` if fewer than half of one camera's images have a partner.
     """
-    both = sorted(left.keys() & right.keys())
+    both = sorted(left & right)
     most = max(len(left), len(right))
     if 2 * len(both) < most or not both:
         problem = f"{len(left)} left and {len(right)} right images, only {len(both)} pairs"
@@ -108,8 +116,4 @@ def pair_images(
     alone_left, alone_right = len(left) - len(both), len(right) - len(both)
     text = f"{root}: {alone_left} left and {alone_right} right images without a partner: dropped"
     findings.note("unpaired_images", alone_left + alone_right, text)
-    return StereoListing(
-        np.array(both, dtype=np.int64),
-        tuple(left[stamp] for stamp in both),
-        tuple(right[stamp] for stamp in both),
-    )
+    return np.array(both, dtype=np.int64)

@@ -21,7 +21,7 @@ def read_grey(path: Path) -> Image:
 
     Raises `DatasetError` if the file is empty, truncated, corrupt or no image.
     """
-    return _decode(path, cv2.IMREAD_GRAYSCALE).astype(np.uint8, copy=False)
+    return decode(_read_bytes(path), path, cv2.IMREAD_GRAYSCALE).astype(np.uint8, copy=False)
 
 
 def read_bayer_as_grey(path: Path) -> Image:
@@ -29,7 +29,7 @@ def read_bayer_as_grey(path: Path) -> Image:
 
     An image that has been turned to colour before is only converted. Errors as `read_grey`.
     """
-    raw = _decode(path, cv2.IMREAD_UNCHANGED)
+    raw = decode(_read_bytes(path), path, cv2.IMREAD_UNCHANGED)
     if raw.ndim == 3:
         return read_grey(path)
     if raw.dtype == np.uint16:
@@ -50,30 +50,32 @@ def image_size(path: Path) -> tuple[int, int]:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise DatasetError.at(path, f"cannot read the image: {error.strerror}", _REMEDY) from None
+
+
+def decode(data: bytes, where: Path | str, mode: int) -> AnyArray:
+    """The image in the bytes of a file, by a mode of `cv2.imdecode`.
+
+    Raises `DatasetError` with `where` if it is empty, truncated, corrupt or no image.
+    """
     if not data:
-        raise DatasetError.at(path, "the image file is empty", _REMEDY)
-    return data
-
-
-def _decode(path: Path, mode: int) -> AnyArray:
-    data = _read_bytes(path)
+        raise DatasetError.at(where, "the image file is empty", _REMEDY)
     if data.startswith(_PNG_SIGNATURE):
-        _check_png(path, data)
+        _check_png(where, data)
     elif data.startswith(b"\xff\xd8") and data.rfind(b"\xff\xd9") < 0:
-        raise DatasetError.at(path, "the image is truncated", _REMEDY)
+        raise DatasetError.at(where, "the image is truncated", _REMEDY)
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), mode)
     except cv2.error:
         image = None
     if image is None:
-        raise DatasetError.at(path, "not an image that OpenCV can read", _REMEDY)
+        raise DatasetError.at(where, "not an image that OpenCV can read", _REMEDY)
     return image
 
 
-def _check_png(path: Path, data: bytes) -> None:
+def _check_png(where: Path | str, data: bytes) -> None:
     """Walk the chunks up to the end mark: decoders take a truncated file for a grey-bottomed one.
 
     Chunks: length, type, data, CRC-32 of type and data (W3C PNG specification, section 5.3).
@@ -86,8 +88,8 @@ def _check_png(path: Path, data: bytes) -> None:
         if end + 4 > len(data):
             break
         if zlib.crc32(view[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
-            raise DatasetError.at(path, "the image is corrupt (PNG checksum)", _REMEDY)
+            raise DatasetError.at(where, "the image is corrupt (PNG checksum)", _REMEDY)
         if data[at + 4 : at + 8] == b"IEND":
             return
         at = end + 4
-    raise DatasetError.at(path, "the image is truncated (PNG without its end)", _REMEDY)
+    raise DatasetError.at(where, "the image is truncated (PNG without its end)", _REMEDY)

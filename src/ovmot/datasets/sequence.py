@@ -1,7 +1,9 @@
 """A recorded sequence, described: everything known of it before the first image is decoded."""
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +21,24 @@ Decode = Callable[[Path], Image]
 
 
 @dataclass(frozen=True, slots=True)
-class FolderSequence:
-    """M stereo pairs in files, and the IMU beside them.
+class StoredImage:
+    """An image not decoded yet: where it is, in words, and how to have it in grey."""
+
+    where: Path | str
+    decode: Callable[[], Image]
+
+
+StoredPair = tuple[StoredImage, StoredImage]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedSequence(ABC):
+    """M stereo pairs, wherever they are stored, and the IMU beside them.
 
     `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
-    `decode` turns a file into a grey image. `warnings` are sentences for the user; `counts` the
-    numbers behind them.
+    `warnings` are sentences for the user; `counts` the numbers behind them.
     """
 
     kind: str
@@ -37,14 +49,32 @@ class FolderSequence:
     imu: ImuData | None
     frame_ns: IntArray
     frame_number: IntArray
-    left_paths: tuple[Path, ...]
-    right_paths: tuple[Path, ...]
-    decode: Decode
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
 
     def __len__(self) -> int:
         return len(self.frame_ns)
+
+    @abstractmethod
+    def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
+        """The left and right images of frames `first` to `stop - 1`, in order, one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class FolderSequence(RecordedSequence):
+    """Stereo pairs in files; `decode` turns a file into a grey image."""
+
+    left_paths: tuple[Path, ...]
+    right_paths: tuple[Path, ...]
+    decode: Decode
+
+    def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
+        for index in range(first, stop):
+            left, right = self.left_paths[index], self.right_paths[index]
+            yield (
+                StoredImage(left, partial(self.decode, left)),
+                StoredImage(right, partial(self.decode, right)),
+            )
 
 
 def assemble(
@@ -66,10 +96,7 @@ def assemble(
     """
     keep = np.arange(len(listing.frame_ns))
     if imu is not None:
-        keep = _covered(listing.frame_ns, imu, calibration.rig.time_offset_s, root)
-        lost = len(listing.frame_ns) - len(keep)
-        text = f"{root}: {lost} frames before the first or after the last IMU sample: dropped"
-        findings.note("frames_outside_imu", lost, text)
+        keep = covered_frames(listing.frame_ns, imu, calibration.rig.time_offset_s, root, findings)
     return FolderSequence(
         kind=kind,
         name=name,
@@ -87,8 +114,13 @@ def assemble(
     )
 
 
-def _covered(frame_ns: IntArray, imu: ImuData, time_offset_s: float, root: Path) -> IntArray:
-    """Indices of the frames between the first and the last IMU sample, by the IMU's clock."""
+def covered_frames(
+    frame_ns: IntArray, imu: ImuData, time_offset_s: float, root: Path, findings: Findings
+) -> IntArray:
+    """Indices of the frames between the first and the last IMU sample, by the IMU's clock.
+
+    Raises `DatasetError` if there are none; the others are counted.
+    """
     at = frame_ns + round(time_offset_s * 1e9)
     first, last = imu.timestamp_ns[0], imu.timestamp_ns[-1]
     keep = np.flatnonzero((at >= first) & (at <= last))
@@ -99,4 +131,7 @@ def _covered(frame_ns: IntArray, imu: ImuData, time_offset_s: float, root: Path)
             " do not overlap"
         )
         raise DatasetError.at(root, problem, "stamps are nanoseconds of one clock; check both")
+    lost = len(frame_ns) - len(keep)
+    text = f"{root}: {lost} frames before the first or after the last IMU sample: dropped"
+    findings.note("frames_outside_imu", lost, text)
     return keep

@@ -3,12 +3,12 @@
 from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
+from itertools import islice
 
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.datasets.sequence import Decode, FolderSequence
+from ovmot.datasets.sequence import RecordedSequence, StoredImage
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image
 from ovmot.types import Event, ImuData, ImuSample, StereoFrame
@@ -21,7 +21,7 @@ _TAIL_S = 1.0
 
 
 def events(
-    sequence: FolderSequence, *, first: int = 0, last: int | None = None
+    sequence: RecordedSequence, *, first: int = 0, last: int | None = None
 ) -> Generator[Event, None, None]:
     """IMU samples and stereo frames `first` ... `last` (both included, counted from 0), merged.
 
@@ -39,7 +39,7 @@ def events(
     return _merged(sequence, first, stop)
 
 
-def _merged(sequence: FolderSequence, first: int, stop: int) -> Generator[Event, None, None]:
+def _merged(sequence: RecordedSequence, first: int, stop: int) -> Generator[Event, None, None]:
     imu, frame_ns = sequence.imu, sequence.frame_ns
     position, end = (0, 0) if imu is None else _imu_range(sequence, imu, first, stop)
     for index, (left, right) in enumerate(_decoded_pairs(sequence, first, stop), start=first):
@@ -53,7 +53,7 @@ def _merged(sequence: FolderSequence, first: int, stop: int) -> Generator[Event,
         yield from _samples(imu, position, end)
 
 
-def _imu_range(sequence: FolderSequence, imu: ImuData, first: int, stop: int) -> tuple[int, int]:
+def _imu_range(sequence: RecordedSequence, imu: ImuData, first: int, stop: int) -> tuple[int, int]:
     offset_s = sequence.rig.time_offset_s
     begin = int(sequence.frame_ns[first]) - round(1e9 * (_LEAD_S + max(0.0, -offset_s)))
     finish = int(sequence.frame_ns[stop - 1]) + round(1e9 * (_TAIL_S + max(0.0, offset_s)))
@@ -68,39 +68,36 @@ def _samples(imu: ImuData, begin: int, end: int) -> Iterator[ImuSample]:
 
 
 def _decoded_pairs(
-    sequence: FolderSequence, first: int, stop: int
+    sequence: RecordedSequence, first: int, stop: int
 ) -> Generator[tuple[Image, Image], None, None]:
     """Pairs in order, both sides decoded in parallel, at most `AHEAD` pairs in memory."""
     pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-decode")
     waiting: deque[tuple[Future[Image], Future[Image]]] = deque()
+    rig, stored = sequence.rig, sequence.pairs(first, stop)
 
-    def order(index: int) -> None:
-        rig, decode = sequence.rig, sequence.decode
-        left = pool.submit(_image, decode, sequence.left_paths[index], rig.cam0)
-        right = pool.submit(_image, decode, sequence.right_paths[index], rig.cam1)
-        waiting.append((left, right))
+    def order(count: int) -> None:
+        for left, right in islice(stored, count):
+            jobs = pool.submit(_image, left, rig.cam0), pool.submit(_image, right, rig.cam1)
+            waiting.append(jobs)
 
     try:
-        for index in range(first, min(first + AHEAD, stop)):
-            order(index)
-        for index in range(first + AHEAD, stop + AHEAD):
+        order(AHEAD)
+        while waiting:
             left, right = waiting.popleft()
             pair = left.result(), right.result()
-            if index < stop:
-                order(index)
+            order(1)
             yield pair
-            if not waiting:
-                return
     finally:
+        stored.close()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _image(decode: Decode, path: Path, camera: Camera) -> Image:
-    image = decode(path)
+def _image(stored: StoredImage, camera: Camera) -> Image:
+    image = stored.decode()
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
         raise DatasetError.at(
-            path,
+            stored.where,
             f"the image is {width}x{height} pixels, its camera {camera.width}x{camera.height}",
             "give the calibration that belongs to these images",
         )

@@ -1,0 +1,148 @@
+"""Messages of a frame: values, frames and covariances, and that both ROS versions take them."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ovmot.geometry import se3, so3
+from ovmot.ros import messages
+from ovmot.ros.messages import FrameNames, PathSoFar, frame_messages, overlay_message
+from ovmot.ros.typestore import filled, rosbags_name, typestore
+from ovmot.ros.values import Message
+from ovmot.types import FrameResult, PointLabel
+
+
+def by_topic(result: FrameResult) -> dict[str, Message]:
+    made = frame_messages(result, PathSoFar().extended(result))
+    return {published.topic: published.message for published in made}
+
+
+def through(version: int, message: Message) -> Any:
+    """The message written and read again by the wire format of one ROS version."""
+    store, name = typestore(version), rosbags_name(message.type_name)
+    if version == 1:
+        return store.deserialize_ros1(store.serialize_ros1(filled(store, message), name), name)
+    return store.deserialize_cdr(store.serialize_cdr(filled(store, message), name), name)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_both_versions_of_ros_carry_every_message(result: FrameResult, version: int) -> None:
+    made = by_topic(result)
+    picture = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
+    overlay = overlay_message(result.timestamp_ns, picture)
+    read = {topic: through(version, m) for topic, m in made.items()}
+    image = through(version, overlay.message)
+    assert {**{t: m.type_name for t, m in made.items()}, overlay.topic: "sensor_msgs/Image"} == (
+        messages.TOPICS
+    )
+    odometry = read[messages.ODOMETRY]
+    assert (odometry.header.stamp.sec, odometry.header.stamp.nanosec) == (1_700_000_000, 123456789)
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("world", "imu")
+    assert odometry.pose.pose.position.z == 3.0
+    assert image.encoding == "bgr8" and image.step == 18
+    assert np.array_equal(image.data.reshape(4, 6, 3), picture)
+    objects = read[messages.OBJECTS].objects
+    assert [(o.id, o.state) for o in objects] == [(7, 1), (8, 2), (9, 0)]
+    assert np.isnan(objects[0].yaw_rate) and objects[0].size.x == 4.0
+    assert objects[0].box_px.tolist() == [10.0, 20.0, 50.0, 60.0]
+
+
+def test_pose_covariance_is_that_of_errors_in_the_world(result: FrameResult) -> None:
+    ego = result.ego
+    R = ego.T_world_imu[:3, :3]
+
+    def ros_error(delta: np.ndarray) -> np.ndarray:
+        rotation = so3.log(R @ so3.exp(delta[:3]) @ R.T)
+        return np.concatenate([delta[3:6], rotation])
+
+    jacobian = finite_differences(ros_error, 6)
+    expected = jacobian @ ego.covariance[:6, :6] @ jacobian.T
+    assert np.allclose(messages.pose_covariance(ego), expected, rtol=1e-5, atol=1e-9)
+
+
+def test_twist_covariance_is_that_of_the_velocity_in_the_imu(result: FrameResult) -> None:
+    ego = result.ego
+    R = ego.T_world_imu[:3, :3]
+
+    def velocity(delta: np.ndarray) -> np.ndarray:
+        return np.asarray((R @ so3.exp(delta[:3])).T @ (ego.velocity + delta[6:9]))
+
+    jacobian = finite_differences(velocity, 9)
+    expected = jacobian @ ego.covariance[:9, :9] @ jacobian.T
+    assert np.allclose(messages.twist_covariance(ego)[:3, :3], expected, rtol=1e-5, atol=1e-9)
+
+
+def finite_differences(function: Any, size: int, step: float = 1e-6) -> np.ndarray:
+    columns = [
+        (function(step * unit) - function(-step * unit)) / (2 * step) for unit in np.eye(size)
+    ]
+    return np.array(columns).T
+
+
+def test_what_is_not_known_has_a_large_variance_and_no_nan(result: FrameResult) -> None:
+    nan = np.full(3, np.nan)
+    ego = replace(result.ego, velocity=nan, covariance=np.full((15, 15), np.nan))
+    odometry = through(2, messages.odometry(ego, FrameNames()))
+    expected = np.diag([messages.UNKNOWN_VARIANCE] * 6)
+    assert np.array_equal(odometry.twist.covariance.reshape(6, 6), expected)
+    assert np.array_equal(odometry.pose.covariance.reshape(6, 6), expected)
+    assert odometry.twist.twist.linear.x == 0.0
+
+
+def test_transforms_lead_from_the_world_to_the_cameras(result: FrameResult) -> None:
+    edges = through(2, messages.transforms(result.ego, FrameNames())).transforms
+    assert [(e.header.frame_id, e.child_frame_id) for e in edges] == [
+        ("world", "imu"),
+        ("imu", "cam0"),
+        ("imu", "cam1"),
+    ]
+    q, t = edges[1].transform.rotation, edges[1].transform.translation
+    R = so3.from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+    assert np.allclose(se3.make(R, np.array([t.x, t.y, t.z])), result.ego.T_imu_cam0)
+
+
+def test_points_are_in_the_world_and_apart_by_label(result: FrameResult) -> None:
+    cloud = through(1, messages.points(result, (PointLabel.DYNAMIC,), FrameNames()))
+    assert (cloud.width, cloud.point_step, [f.name for f in cloud.fields]) == (
+        1,
+        20,
+        ["x", "y", "z", "id", "track_id"],
+    )
+    xyz = np.frombuffer(cloud.data[:12].tobytes(), dtype="<f4")
+    T_world_cam0 = result.ego.T_world_imu @ result.ego.T_imu_cam0
+    assert np.allclose(xyz, se3.apply(T_world_cam0, result.points.p_cam0[1]), atol=1e-5)
+    assert np.frombuffer(cloud.data[12:].tobytes(), dtype="<i4").tolist() == [101, 7]
+    static = through(1, messages.points(result, (PointLabel.STATIC,), FrameNames()))
+    assert static.width == 1  # the second static point has no depth
+
+
+def test_markers_begin_with_a_clean_slate_and_show_no_tentative_track(result: FrameResult) -> None:
+    drawn = through(1, by_topic(result)[messages.MARKERS]).markers
+    assert drawn[0].action == drawn[0].DELETEALL
+    assert [(m.ns, m.id) for m in drawn[1:]] == [
+        (name, track) for track in (7, 8) for name in ("boxes", "ids", "velocities")
+    ]
+    box, label, arrow = drawn[1:4]
+    assert label.text == "7: 5.0 m/s" and box.scale.x == 4.0
+    assert arrow.points[1].x - arrow.points[0].x == pytest.approx(3.0)
+    assert np.isclose(box.pose.orientation.z, np.sin(0.15))
+
+
+def test_the_path_stays_whole_and_bounded(result: FrameResult) -> None:
+    path = PathSoFar()
+    steps = 3 * PathSoFar.MOST
+    for i in range(steps):
+        T = se3.make(np.eye(3), np.array([0.2 * i, 0.0, 0.0]))
+        ego = replace(result.ego, T_world_imu=T)
+        path = path.extended(replace(result, ego=ego))
+    assert PathSoFar.MOST / 2 < len(path.poses) <= PathSoFar.MOST + 1
+    along = [T[0, 3] for _, T in path.poses]
+    assert along[0] == 0.0 and along[-1] > 0.2 * steps - 1.0
+    assert len(path.extended(replace(result, segment=1)).poses) == 1
+
+
+def test_a_field_that_no_ros_has_is_an_error() -> None:
+    with pytest.raises(KeyError, match="sequence"):
+        filled(typestore(1), Message("std_msgs/Header", {"sequence": 1}))
