@@ -29,7 +29,8 @@ from ovmot.batch.plan import read_plan
 from ovmot.batch.summary import summary_tables
 from ovmot.batch.work import work
 from ovmot.config import describe_settings, load_settings
-from ovmot.datasets.registry import READERS, open_sequence
+from ovmot.datasets.bag_topics import BagTopics
+from ovmot.datasets.registry import READERS, open_recording
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
 from ovmot.run import RunOptions, run_sequence
@@ -77,7 +78,10 @@ def _root(
 
 @app.command()
 def run(
-    data: Annotated[Path, typer.Argument(help="Folder of a recorded sequence.")],
+    data: Annotated[
+        Path,
+        typer.Argument(help="Folder of a recorded sequence, or a ROS bag: .bag, .mcap, .db3."),
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
     format: Annotated[
         str | None, typer.Option(help=f"Kind of data: {', '.join(READERS)}; else recognised.")
@@ -87,6 +91,15 @@ def run(
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
+    ] = None,
+    left: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's left camera; else found.")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's right camera; else found.")
+    ] = None,
+    imu: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's IMU; else found.")
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML settings: only what differs from the defaults.")
@@ -121,7 +134,9 @@ def run(
     prepare_process()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
     settings = load_settings(config, overrides)
-    recorded = open_sequence(data, format, sequence, calibration, settings.imu.max_gap_s)
+    recorded = open_recording(
+        data, format, sequence, calibration, settings.imu.max_gap_s, BagTopics(left, right, imu)
+    )
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
     options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks)

@@ -1,5 +1,6 @@
 """Calibration files of Kalibr and of OpenVINS (`kalibr_imucam_chain.yaml`)."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +29,29 @@ def read_kalibr(path: Path) -> Calibration:
     The noise comes from `kalibr_imu_chain.yaml` beside it and is None without that file.
     Raises `CalibrationError` with file, key and remedy.
     """
-    chain = path / CHAIN_FILE if path.is_dir() else path
-    imu = chain.with_name(IMU_FILE)
-    return Calibration(read_kalibr_rig(chain), read_kalibr_noise(imu) if imu.exists() else None)
+    chain = _chain_file(path)
+    return Calibration(read_kalibr_rig(chain), _noise_beside(chain))
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Where the left camera is on the IMU (4, 4), the clock between them, the IMU's noise."""
+
+    T_imu_cam0: FloatArray
+    time_offset_s: float
+    imu_noise: ImuNoise | None
+
+
+def is_mount(path: Path) -> bool:
+    """Does a chain hold `cam0` alone: where it is, but no rig? Raises `CalibrationError`."""
+    return not load_calibration_yaml(_chain_file(path)).has("cam1")
+
+
+def read_kalibr_mount(path: Path) -> Mount:
+    """What a chain says of `cam0`'s place and clock; raises `CalibrationError`."""
+    chain = _chain_file(path)
+    cam0 = load_calibration_yaml(chain).child("cam0")
+    return Mount(_pose_on_imu(cam0, None), _time_offset(cam0, cam0), _noise_beside(chain))
 
 
 def read_kalibr_rig(path: Path) -> StereoRig:
@@ -54,6 +75,15 @@ def read_kalibr_noise(path: Path) -> ImuNoise:
         remedy = "give the cameras relative to this IMU"
         raise imu.fail("T_i_b", "the IMU is not the body frame", remedy)
     return read_imu_noise(imu)
+
+
+def _chain_file(path: Path) -> Path:
+    return path / CHAIN_FILE if path.is_dir() else path
+
+
+def _noise_beside(chain: Path) -> ImuNoise | None:
+    imu = chain.with_name(IMU_FILE)
+    return read_kalibr_noise(imu) if imu.exists() else None
 
 
 def _pose_on_imu(camera: CalibrationNode, T_imu_previous: FloatArray | None) -> FloatArray:

@@ -1,7 +1,15 @@
 """Recorded sequences: open a folder, then read its events in time order."""
 
-from ovmot.datasets.registry import READERS, Reader, open_sequence
+from ovmot.datasets.registry import READERS, Reader, open_recording, open_sequence
 from ovmot.datasets.sequence import FolderSequence, RecordedSequence
 from ovmot.datasets.stream import events
 
-__all__ = ["READERS", "FolderSequence", "Reader", "RecordedSequence", "events", "open_sequence"]
+__all__ = [
+    "READERS",
+    "FolderSequence",
+    "Reader",
+    "RecordedSequence",
+    "events",
+    "open_recording",
+    "open_sequence",
+]

@@ -6,10 +6,13 @@ from typing import Protocol
 from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.kalibr import read_kalibr
 from ovmot.config import ImuSettings
+from ovmot.datasets.bag import read_bag
+from ovmot.datasets.bag_file import bag_at
+from ovmot.datasets.bag_topics import BagTopics
 from ovmot.datasets.euroc import EurocReader
 from ovmot.datasets.kaist import KaistReader
 from ovmot.datasets.kitti import KittiReader
-from ovmot.datasets.sequence import FolderSequence
+from ovmot.datasets.sequence import FolderSequence, RecordedSequence
 from ovmot.errors import InputError
 
 
@@ -33,11 +36,34 @@ class Reader(Protocol):
         ...
 
 
+_GIVE = "give the folder of a recorded sequence, or a ROS bag (.bag, .mcap, .db3)"
+
 READERS: dict[str, Reader] = {
     "euroc": EurocReader(),
     "kaist": KaistReader(),
     "kitti": KittiReader(),
 }
+
+
+def open_recording(
+    path: Path,
+    format: str | None = None,
+    sequence: str | None = None,
+    calibration: Path | None = None,
+    imu_max_gap_s: float | None = None,
+    topics: BagTopics | None = None,
+) -> RecordedSequence:
+    """Describe the sequence in a ROS bag or, as `open_sequence` does, in a folder.
+
+    `topics` are those of a bag, which has neither format nor several sequences.
+    """
+    bag = bag_at(path)
+    if bag is None:
+        if topics is not None:
+            _refuse(path, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
+        return open_sequence(path, format, sequence, calibration, imu_max_gap_s)
+    _refuse(path, "is a bag", format=format, sequence=sequence)
+    return read_bag(bag, topics or BagTopics(), calibration, _gap(imu_max_gap_s))
 
 
 def open_sequence(
@@ -55,11 +81,11 @@ def open_sequence(
     Raises `InputError` and its children, each with file, row and remedy.
     """
     if not path.exists():
-        raise InputError.at(path, "no such folder", "give the folder of a recorded sequence")
+        raise InputError.at(path, "no such file or folder", _GIVE)
     if not path.is_dir():
-        raise InputError.at(path, "not a folder", "give the folder of a recorded sequence")
+        raise InputError.at(path, "neither a folder nor a bag", _GIVE)
     given = None if calibration is None else read_kalibr(calibration)
-    gap = ImuSettings().max_gap_s if imu_max_gap_s is None else imu_max_gap_s
+    gap = _gap(imu_max_gap_s)
     if format is not None:
         if format not in READERS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(READERS)}")
@@ -77,3 +103,14 @@ def open_sequence(
 def recognise(path: Path) -> list[str]:
     """The kinds that a folder looks like."""
     return [kind for kind, reader in READERS.items() if reader.recognise(path)]
+
+
+def _gap(given_s: float | None) -> float:
+    return ImuSettings().max_gap_s if given_s is None else given_s
+
+
+def _refuse(path: Path, why: str, **options: str | None) -> None:
+    """Complain about options that this kind of data does not take."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError.at(path, why, f"leave out '--{name} {value}'")
