@@ -11,7 +11,7 @@ from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import Track, TrackState
 from ovmot.types import PointLabel, ScenePoints
 
-_MOVING_MPS = 1.0  # a body's speed from which its points are said to move
+_MOVING_MPS = 0.85  # below a walker's pace: a body that is surely as fast has points that move
 _CLEAR = 9.0  # squared sigmas by which rest must explain a point of it better
 
 
@@ -48,9 +48,11 @@ def moving_ids(seen: ScenePoints) -> IntArray:
 
 def _moves_with(track: Track, own: BoolArray, motions: FeatureMotions) -> BoolArray:
     """Which of a track's own points move as it does."""
-    if np.linalg.norm(track.velocity) < _MOVING_MPS:
-        return np.zeros(int(own.sum()), dtype=np.bool_)
     P = track.filter.best.covariance[VELOCITY, VELOCITY]
+    speed = float(np.linalg.norm(track.velocity))
+    sigma = float(np.sqrt(track.velocity @ P @ track.velocity)) / max(speed, 1e-9)
+    if speed - sigma < _MOVING_MPS:
+        return np.zeros(int(own.sum()), dtype=np.bool_)
     at_rest, with_body = rest_or_body(motions, np.flatnonzero(own), track.velocity, P)
     rests: BoolArray = at_rest + _CLEAR < with_body
     return ~rests
