@@ -347,6 +347,35 @@ class ObjectTrackSettings(Section):
     """Frames in a row after which a track that lies on an older one ends."""
 
 
+class LiveSettings(Section):
+    """Topics, frames and queues of the live node (`ovmot ros`)."""
+
+    left: str = "/cam0/image_raw"
+    """Topic of the left images; one that ends in /compressed is taken as such."""
+    right: str = "/cam1/image_raw"
+    """Topic of the right images."""
+    imu: str = "/imu0"
+    """Topic of the IMU."""
+    pair_tolerance_s: float = Field(0.005, ge=0.0)
+    """Left and right image are a pair when their stamps differ by no more than this."""
+    queue_frames: int = Field(5, ge=1)
+    """Frames that may wait for the pipeline; when there are more, the oldest is dropped."""
+    hold_s: float = Field(3.0, gt=0.0)
+    """A hole in the IMU up to this long is gone through, its frames held; after more, a restart."""
+    jump_s: float = Field(0.5, gt=0.0)
+    """Stamps that go back by more than this are a restart of the source, by less are late."""
+    world_frame: str = "world"
+    """Name of the world frame in messages."""
+    imu_frame: str = "imu"
+    """Name of the IMU's frame."""
+    left_frame: str = "cam0"
+    """Name of the left camera's frame."""
+    right_frame: str = "cam1"
+    """Name of the right camera's frame."""
+    publish_tf: bool = True
+    """Publish world -> IMU -> cameras on /tf."""
+
+
 class Settings(Section):
     """Everything that a run can be told."""
 
@@ -363,6 +392,7 @@ class Settings(Section):
     split: SplitSettings = SplitSettings()
     objects: ObjectSettings = ObjectSettings()
     object_tracks: ObjectTrackSettings = ObjectTrackSettings()
+    live: LiveSettings = LiveSettings()
 
 
 def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:

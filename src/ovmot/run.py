@@ -270,9 +270,14 @@ def known_start(
 
 
 def imu_noise(sequence: RecordedSequence, settings: Settings) -> ImuNoise:
+    """Noise densities for a sequence, see `noise_in_use`."""
+    return noise_in_use(sequence.imu_noise, settings)
+
+
+def noise_in_use(calibrated: ImuNoise | None, settings: Settings) -> ImuNoise:
     """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
     told = settings.imu
-    known = sequence.imu_noise or ImuNoise(*told.fallback)
+    known = calibrated or ImuNoise(*told.fallback)
     return ImuNoise(
         gyro=told.gyro_noise or known.gyro,
         gyro_walk=told.gyro_walk or known.gyro_walk,

@@ -1,0 +1,199 @@
+"""The worker of the live node: what was taken in goes through the pipeline, messages come out.
+
+Nothing here knows a version of ROS: a `Sink` sends the messages.
+"""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import LiveSettings
+from ovmot.datasets.bag_images import stored_image
+from ovmot.errors import DatasetError, OvmotError
+from ovmot.geometry.arrays import Image
+from ovmot.outputs.tracks_overlay import Trails
+from ovmot.outputs.video import compose
+from ovmot.pipeline import Pipeline
+from ovmot.ros.intake import Batch, Intake, WaitingPair
+from ovmot.ros.messages import (
+    OVERLAY,
+    TF,
+    TOPICS,
+    FrameNames,
+    PathSoFar,
+    frame_messages,
+    odometry,
+    overlay_message,
+)
+from ovmot.ros.values import Published
+from ovmot.types import FrameResult, ImuSample, StereoFrame
+
+IMU_ODOMETRY = "/ovmot/odometry/imu_rate"
+LIVE_TOPICS = {**TOPICS, IMU_ODOMETRY: "nav_msgs/Odometry"}
+"""Every topic of a live node and its type."""
+
+_WAIT_S = 0.1
+_CARRY_NS = 1_000_000_000  # the IMU alone is no odometry for longer
+_SAY_EVERY_S = 2.0
+_LATENCIES = 10_000
+
+
+class Sink(Protocol):
+    """Where messages go."""
+
+    def wanted(self, topic: str) -> bool:
+        """Does anybody listen to this topic?"""
+        ...
+
+    def send(self, published: Published) -> None:
+        """Publish a message on its topic."""
+        ...
+
+
+class Session:
+    """Runs a pipeline on an intake; after a restart, or where one breaks down, on with a new one.
+
+    Use it from one thread. `counts` are the frames by what became of them, `say` tells the user.
+    """
+
+    def __init__(
+        self,
+        intake: Intake,
+        make_pipeline: Callable[[], Pipeline],
+        rig: StereoRig,
+        settings: LiveSettings,
+        sink: Sink,
+        say: Callable[[str], None],
+    ) -> None:
+        self._intake = intake
+        self._make_pipeline = make_pipeline
+        self._rig = rig
+        self._settings = settings
+        self._sink = sink
+        self._say = say
+        self._names = frame_names(settings)
+        self._pipeline = make_pipeline()
+        self._segment = 0  # of the pipeline's first
+        self._path = PathSoFar()
+        self._trails = Trails()
+        self._newest_ns: int | None = None  # frame with a result
+        self._said_s = dict[str, float]()
+        self.counts: Counter[str] = Counter()
+        self._latency_s: deque[float] = deque(maxlen=_LATENCIES)
+
+    def work_once(self) -> None:
+        """Wait a moment for work and do it; what goes wrong is said, and the next batch goes on."""
+        batch = self._intake.take(_WAIT_S)
+        if batch.restart is not None:
+            self._begin_again(batch.restart)
+        try:
+            self._do(batch)
+        except DatasetError as error:  # one message was bad
+            self.counts["refused"] += 1
+            self._say_seldom("refused", f"{error}: left out")
+        except OvmotError as error:
+            self._begin_again(str(error))
+
+    def close(self) -> None:
+        """End the pipeline's threads."""
+        self._pipeline.close()
+
+    def latency_ms(self, percent: float) -> float | None:
+        """Percentile of the time from a pair's arrival to its odometry, None without a frame."""
+        return float(1e3 * np.percentile(self._latency_s, percent)) if self._latency_s else None
+
+    def _do(self, batch: Batch) -> None:
+        for sample in batch.imu:
+            for result in self._pipeline.feed(sample):
+                self._publish(result)
+            self._publish_between(sample, batch)
+        if batch.pair is not None:
+            frame = decoded(batch.pair, self._settings, self._rig)
+            self.counts["frames"] += 1
+            for result in self._pipeline.feed(frame):
+                self._publish(result)
+                self._latency_s.append(time.monotonic() - batch.pair.arrived_s)
+                self._publish_overlay(result)
+            self._say_why_not_started()
+
+    def _begin_again(self, why: str) -> None:
+        self._say(f"{why}: starting again, in a new segment")
+        self.counts["restarts"] += 1
+        self._segment += self._pipeline.counts["resets"] + 1
+        self._pipeline.close()
+        self._pipeline = self._make_pipeline()
+        self._trails = Trails()
+        self._newest_ns = None
+
+    def _publish(self, result: FrameResult) -> None:
+        if not np.all(np.isfinite(result.ego.T_world_imu)):
+            raise OvmotError(f"the pose at {result.timestamp_ns} ns is not finite")
+        if result.segment and result.segment + self._segment != self._path.segment:
+            self._say(f"the motion was lost before {result.timestamp_ns} ns: started again there")
+        result = replace(result, segment=result.segment + self._segment)
+        self.counts["results"] += 1
+        self._newest_ns = result.timestamp_ns
+        self._path = self._path.extended(result)
+        for published in frame_messages(result, self._path, self._names):
+            if published.topic != TF or self._settings.publish_tf:
+                self._sink.send(published)
+
+    def _publish_between(self, sample: ImuSample, batch: Batch) -> None:
+        """Odometry at the IMU's rate, where somebody wants it and no frame is late."""
+        newest = self._newest_ns
+        if newest is None or batch.waiting or not self._sink.wanted(IMU_ODOMETRY):
+            return
+        if sample.timestamp_ns - newest > _CARRY_NS:
+            return
+        ego = self._pipeline.latest()
+        if ego is not None:
+            self._sink.send(Published(IMU_ODOMETRY, odometry(ego, self._names)))
+
+    def _publish_overlay(self, result: FrameResult) -> None:
+        self._trails = self._trails.extended(result)
+        if self._sink.wanted(OVERLAY):
+            picture = compose(result, self._rig, self._trails)
+            self._sink.send(overlay_message(result.timestamp_ns, picture, self._names))
+
+    def _say_why_not_started(self) -> None:
+        if not self._pipeline.started:
+            self.counts["before_start"] += 1
+            why = self._pipeline.not_started_because or "no frame is covered by the IMU"
+            self._say_seldom("start", f"no start yet: {why}")
+
+    def _say_seldom(self, subject: str, line: str) -> None:
+        now_s = time.monotonic()
+        if now_s - self._said_s.get(subject, -np.inf) >= _SAY_EVERY_S:
+            self._said_s[subject] = now_s
+            self._say(line)
+
+
+def frame_names(settings: LiveSettings) -> FrameNames:
+    """What the settings call the frames."""
+    return FrameNames(
+        settings.world_frame, settings.imu_frame, settings.left_frame, settings.right_frame
+    )
+
+
+def decoded(waiting: WaitingPair, settings: LiveSettings, rig: StereoRig) -> StereoFrame:
+    """The pair's images in grey; raises `DatasetError` with topic and stamp for a broken one."""
+    pair = waiting.pair
+    sides = ((settings.left, pair.left, rig.cam0), (settings.right, pair.right, rig.cam1))
+    images: list[Image] = []
+    for topic, message, camera in sides:
+        where = f"{topic} at {pair.timestamp_ns} ns"
+        image = stored_image(message, where).decode()
+        height, width = image.shape
+        if (width, height) != (camera.width, camera.height):
+            raise DatasetError.at(
+                where,
+                f"the image is {width}x{height} pixels, its camera {camera.width}x{camera.height}",
+                "give the calibration that belongs to these images",
+            )
+        images.append(image)
+    return StereoFrame(pair.timestamp_ns, images[0], images[1])
