@@ -33,6 +33,8 @@ from ovmot.datasets.bag_topics import BagTopics
 from ovmot.datasets.registry import READERS, open_recording
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
+from ovmot.outputs.run_writer import Output, RunContext
+from ovmot.ros.bag_output import BagOutput
 from ovmot.run import RunOptions, run_sequence
 from ovmot.runtime import prepare_process
 from ovmot.sim.scene_file import SCENES, load_scene
@@ -121,6 +123,13 @@ def run(
         bool, typer.Option("--save-points", help="Write points.csv and stereo.csv.")
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write overlay.mp4.")] = False,
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.bag",
+            help="Write the results as a ROS bag too: .bag, .mcap, or a folder of ROS 2.",
+        ),
+    ] = None,
     no_objects: Annotated[
         bool, typer.Option("--no-objects", help="Do not look for moving objects.")
     ] = False,
@@ -139,7 +148,8 @@ def run(
     )
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
-    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks)
+    more = () if bag is None else (_bag_output(bag, video, force),)
+    options = RunOptions(out, _ego_poses(ego), save_points, video, force, first, last, masks, more)
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with (
         _interruptible("what was done until here is written whole"),
@@ -290,6 +300,10 @@ def settings() -> None:
     for row in describe_settings():
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)
+
+
+def _bag_output(path: Path, video: bool, force: bool) -> Callable[[RunContext], Output]:
+    return lambda context: BagOutput(path, context.rig, overlay=video, replace=force)
 
 
 def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:

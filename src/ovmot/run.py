@@ -22,7 +22,7 @@ from ovmot.msckf.known_start import KnownStart, StartSigmas
 from ovmot.msckf.start import FilterStart
 from ovmot.msckf.state import ImuState
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
-from ovmot.outputs.run_writer import RunWriter, open_outputs
+from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.pipeline import STAGES, FrontEnd, Pipeline, Start
 from ovmot.sim.features import FeatureRecording
 from ovmot.types import Event, ImuNoise, ImuSample
@@ -42,6 +42,7 @@ class RunOptions:
     first: int = 0
     last: int | None = None
     masks: Path | None = None
+    more_outputs: tuple[Callable[[RunContext], Output], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +154,7 @@ def _run(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
         frame_number=source.frame_number if settings.objects.enabled else None,
+        more=options.more_outputs,
     )  # fmt: skip
     try:
         with writer, closing(source.stream):

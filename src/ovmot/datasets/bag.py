@@ -118,6 +118,10 @@ def _scan(bag: Bag, topics: FoundTopics) -> _Scan:
         else:
             stored_image(message.value, _where(bag.path, message))
             scan.images[message.topic].append((_stamp(message), message.received_ns))
+    for topic in wanted:
+        read = len(scan.imu) if topic == topics.imu else len(scan.images[topic])
+        if read < bag.counts[topic]:
+            raise bag.unreadable(f"{read} of {bag.counts[topic]} messages of {topic}")
     return scan
 
 

@@ -3,6 +3,7 @@
 By `rosbags`, without ROS: `.bag` of ROS 1, and `.mcap`, `.db3` or their folder of ROS 2.
 """
 
+from collections import Counter
 from collections.abc import Collection, Generator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, Self
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from ovmot.errors import DatasetError
+from ovmot.errors import DatasetError, InputError
 
 _REMEDIES = {
     ".bag": "copy the bag again, or repair it with 'rosbag reindex'",
@@ -44,22 +45,28 @@ def bag_at(path: Path) -> Path | None:
 class Bag:
     """A bag open for reading; a context manager.
 
-    `types` maps each topic to its type, as `package/Name`. What cannot be read raises
-    `DatasetError` with file and remedy.
+    `types` maps each topic to its type, as `package/Name`, `counts` to how many messages it
+    holds by the bag's own word. What cannot be read raises `DatasetError` with file and remedy.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        for file in [path] if path.is_file() else path.glob("*.db3"):
+            if file.suffix == ".db3" and _is_cut(file):
+                raise self.unreadable(f"{file.name} is truncated")
         try:
             # bags of older ROS 2 hold no definitions
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self._reader.open()
         except Exception as error:  # rosbags lets through what sqlite, zstd and struct raise
-            raise _unreadable(path, error) from None
+            raise self.unreadable(_words(error)) from None
         self.types = {
             c.topic: c.msgtype.replace("/msg/", "/")
             for c in sorted(self._reader.connections, key=lambda c: c.topic)
         }
+        self.counts: Counter[str] = Counter()
+        for connection in self._reader.connections:
+            self.counts[connection.topic] += connection.msgcount
 
     def __enter__(self) -> Self:
         return self
@@ -71,6 +78,12 @@ class Bag:
         traceback: TracebackType | None,
     ) -> None:
         self._reader.close()
+
+    def unreadable(self, why: str) -> InputError:
+        """The error for a bag that is broken, with a remedy."""
+        remedy = _REMEDIES.get(self.path.suffix, _REMEDY)
+        problem = f"cannot be read as a bag, or not to its end: {why}"
+        return DatasetError.at(self.path, problem, remedy)
 
     def messages(
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
@@ -90,11 +103,21 @@ class Bag:
             except StopIteration:
                 return
             except Exception as error:
-                raise _unreadable(self.path, error) from None
+                raise self.unreadable(_words(error)) from None
             yield BagMessage(connection.topic, received_ns, value)
 
 
-def _unreadable(path: Path, error: Exception) -> DatasetError:
-    why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    remedy = _REMEDIES.get(path.suffix, _REMEDY)
-    return DatasetError(f"{path}: cannot be read as a bag, or not to its end: {why}; {remedy}")
+def _is_cut(database: Path) -> bool:
+    """Is an SQLite file shorter than it says? SQLite itself takes a half last page for zeros.
+
+    Page size at byte 16, pages at byte 28, big-endian (SQLite's "Database File Format", 1.3).
+    """
+    with database.open("rb") as file:
+        head = file.read(32)
+    page = int.from_bytes(head[16:18], "big")
+    bytes_told = (page if page > 1 else 65536) * int.from_bytes(head[28:32], "big")
+    return len(head) < 32 or database.stat().st_size < bytes_told
+
+
+def _words(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__

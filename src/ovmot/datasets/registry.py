@@ -81,9 +81,9 @@ def open_sequence(
     Raises `InputError` and its children, each with file, row and remedy.
     """
     if not path.exists():
-        raise InputError.at(path, "no such file or folder", _GIVE)
+        raise InputError.at(path, "no such folder or bag", _GIVE)
     if not path.is_dir():
-        raise InputError.at(path, "neither a folder nor a bag", _GIVE)
+        raise InputError.at(path, "not a folder, and not a bag", _GIVE)
     given = None if calibration is None else read_kalibr(calibration)
     gap = _gap(imu_max_gap_s)
     if format is not None:

@@ -141,12 +141,13 @@ def open_outputs(
     stages: Sequence[str] = (),
     calibration: bool = False,
     frame_number: Mapping[int, int] | None = None,
+    more: Sequence[Callable[[RunContext], Output]] = (),
 ) -> RunWriter:
     """Start the files of a run in `folder`, which is made if missing.
 
     `stages` are the columns of `timing.csv`; without them the first frame's are taken.
     `frame_number` gives the number of each stamp (ns) in the sequence; None where no objects are
-    tracked, which leaves `objects_kitti.txt` out. Raises
+    tracked, which leaves `objects_kitti.txt` out. `more` makes outputs beyond the folder. Raises
     `InputError` where the folder holds a run already (unless `force`, which removes that run's
     files and nothing else) or cannot be written into.
     """
@@ -163,6 +164,8 @@ def open_outputs(
     try:
         for name in names:
             opened.append(OUTPUTS[name](folder / name, context))
+        for make in more:
+            opened.append(make(context))
     except BaseException:
         RunWriter(opened).close()
         raise
