@@ -289,6 +289,29 @@ def ros(
 
 
 @app.command()
+def ros2(
+    arguments: Annotated[
+        list[str] | None, typer.Argument(help="ROS's own arguments: -- --ros-args ...")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Kalibr chain, or a data set's folder.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML settings; topics are in the section `live`.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting: section.key=value; repeatable.")
+    ] = None,
+) -> None:
+    """Run live on ROS 2: two image topics and an IMU in, odometry and objects out."""
+    from ovmot.ros.ros2_node import run_node
+
+    prepare_process()
+    with _interruptible("the node has ended"):
+        run_node(config, calibration, tuple(set_ or ()), tuple(arguments or ()))
+
+
+@app.command()
 def settings() -> None:
     """List every setting with its type, default and meaning."""
     console = Console()

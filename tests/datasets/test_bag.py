@@ -378,3 +378,22 @@ def test_a_mistake_in_a_bag_ends_the_command_with_2(
     told = ovmot_command("run", path, "-o", tmp_path / "out")
     assert told.code == 2
     assert told.complaint.endswith("choose with --left TOPIC --right TOPIC")
+
+
+@pytest.mark.parametrize(
+    ("apart_ns", "kept"), [(4_000_000, True), (-3_000_000, True), (6_000_000, False)]
+)
+def test_left_and_right_may_be_stamped_a_little_apart(
+    tmp_path: Path, chain: Path, apart_ns: int, kept: bool
+) -> None:
+    def right(stamp: int) -> Message:
+        return image(stamp + apart_ns, "cam", PICTURE[:, :, 1])
+
+    path = write_bag(tmp_path / "tiny.bag", {"/left": mono, "/right": right})
+    if not kept:
+        with pytest.raises(DatasetError, match="6 left and 6 right images, only 0 pairs"):
+            open_recording(path, calibration=chain)
+        return
+    seen = frames(path, chain)
+    assert [f.timestamp_ns for f in seen] == [START_NS + i * 10**8 for i in range(6)]
+    assert all(np.array_equal(f.right, PICTURE[:, :, 1]) for f in seen)

@@ -1,8 +1,10 @@
 """The results of a run as a bag."""
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,3 +93,22 @@ def test_a_closed_bag_takes_no_more(tmp_path: Path, result: FrameResult) -> None
     with pytest.raises(OvmotError, match=r"out\.bag: cannot write any further"):
         bag.write(odometry, result.timestamp_ns)
     assert np.sum(list(topics_in(tmp_path / "out.bag").values())) == 1
+
+
+def test_run_writes_a_bag_beside_its_folder(
+    painted_euroc: Path, tmp_path: Path, ovmot_command: Callable[..., Any]
+) -> None:
+    settings = ("--set", "initialization.window_s=0.5", "--set", "tracker.max_features=120")
+    bag = tmp_path / "results.mcap"
+
+    def run(out: str, *more: str) -> Any:
+        told = ("-o", tmp_path / out, "--bag", bag, *settings, *more)
+        return ovmot_command("run", painted_euroc, *told)
+
+    assert run("a").code == 0
+    frames = (tmp_path / "a" / "trajectory.tum").read_text().count("\n")
+    assert topics_in(bag)[messages.ODOMETRY] == frames > 5
+    told = run("b")
+    assert told.code == 2
+    assert told.complaint == f"ovmot: {bag}: is already there; replace it with --force"
+    assert run("b", "--force").code == 0

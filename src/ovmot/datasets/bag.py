@@ -1,7 +1,7 @@
 """Sequences in ROS bags: two image topics and an IMU, read as a stream."""
 
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,20 @@ from ovmot.formats import StampedTable
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
+_TOGETHER_NS = 5_000_000  # drivers stamp the two images of one exposure apart by less
+
 
 @dataclass(frozen=True, slots=True)
 class BagSequence(RecordedSequence):
     """Stereo pairs in a bag.
 
+    `right_ns` (M,) are the stamps of the right images, `frame_ns` those of the left ones.
     `received_ns` (M, 2): when the earlier and the later image of each pair was recorded.
     """
 
     bag: Path
     topics: FoundTopics
+    right_ns: IntArray
     received_ns: IntArray
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
@@ -39,17 +43,20 @@ class BagSequence(RecordedSequence):
         left: dict[int, StoredImage] = {}
         right: dict[int, StoredImage] = {}
         waiting = {self.topics.left: left, self.topics.right: right}
-        wanted, received = set(order), self.received_ns[first:stop]
+        received = self.received_ns[first:stop]
+        pair_of = {
+            self.topics.left: {stamp: stamp for stamp in order},
+            self.topics.right: dict(zip(self.right_ns[first:stop].tolist(), order, strict=True)),
+        }
         begin, end = int(received[:, 0].min()), int(received[:, 1].max()) + 1
         with Bag(self.bag) as bag:
             for message in bag.messages(waiting.keys(), begin, end):
-                stamp = _stamp(message)
-                if stamp in wanted:
+                pair_ns = pair_of[message.topic].pop(_stamp(message), None)
+                if pair_ns is not None:
                     where = _where(self.bag, message)
-                    waiting[message.topic].setdefault(stamp, stored_image(message.value, where))
+                    waiting[message.topic][pair_ns] = stored_image(message.value, where)
                 while order and order[0] in left and order[0] in right:
                     next_ns = order.popleft()
-                    wanted.remove(next_ns)
                     yield left.pop(next_ns), right.pop(next_ns)
         if order:
             problem = f"image pair {order[0]} ns is no longer there"
@@ -71,7 +78,9 @@ def read_bag(
         found = bag_calibration(bag, topics, calibration)
         scan = _scan(bag, topics)
     left, right = (_distinct(scan, topic, path, findings) for topic in (topics.left, topics.right))
-    frame_ns = paired_stamps(left.keys(), right.keys(), path, findings)
+    partner = _partners(sorted(left), sorted(right))
+    own_ns = {partner.get(stamp, stamp): stamp for stamp in right}
+    frame_ns = paired_stamps(left.keys(), own_ns.keys(), path, findings)
     imu = None if topics.imu is None else _imu(path, topics.imu, scan, imu_max_gap_s, findings)
     if imu is None:
         text = f"{path}: no topic of type sensor_msgs/Imu; the ego motion must come from poses"
@@ -79,7 +88,10 @@ def read_bag(
     else:
         offset_s = found.rig.time_offset_s
         frame_ns = frame_ns[covered_frames(frame_ns, imu, offset_s, path, findings)]
-    received = [sorted((left[stamp], right[stamp])) for stamp in frame_ns.tolist()]
+    right_ns = [own_ns[stamp] for stamp in frame_ns.tolist()]
+    received = [
+        sorted((left[a], right[b])) for a, b in zip(frame_ns.tolist(), right_ns, strict=True)
+    ]
     return BagSequence(
         kind="bag",
         name=path.resolve().stem,
@@ -93,6 +105,7 @@ def read_bag(
         counts=dict(findings.counts),
         bag=path,
         topics=topics,
+        right_ns=np.array(right_ns, dtype=np.int64),
         received_ns=np.array(received, dtype=np.int64),
     )
 
@@ -123,6 +136,22 @@ def _scan(bag: Bag, topics: FoundTopics) -> _Scan:
         if read < bag.counts[topic]:
             raise bag.unreadable(f"{read} of {bag.counts[topic]} messages of {topic}")
     return scan
+
+
+def _partners(left: Sequence[int], right: Sequence[int]) -> dict[int, int]:
+    """Right stamp -> nearest left stamp (ns, both rising), where that is near and mutual."""
+    a, b = np.array(left, dtype=np.int64), np.array(right, dtype=np.int64)
+    to_left, to_right = _nearest(a, b), _nearest(b, a)
+    mutual = (to_right[to_left] == np.arange(len(b))) & (np.abs(a[to_left] - b) <= _TOGETHER_NS)
+    return dict(zip(b[mutual].tolist(), a[to_left[mutual]].tolist(), strict=True))
+
+
+def _nearest(stamps: IntArray, wanted: IntArray) -> IntArray:
+    """Index of the nearest stamp for each wanted one; both rise."""
+    after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(stamps[before] - wanted) < np.abs(stamps[after] - wanted)
+    return np.where(nearer, before, after)
 
 
 def _distinct(scan: _Scan, topic: str, path: Path, findings: Findings) -> dict[int, int]:

@@ -1,0 +1,163 @@
+"""`ovmot ros2`: the live node on ROS 2. The only file that imports rclpy."""
+
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ovmot.cameras.calibration import Calibration
+from ovmot.config import Settings, load_settings
+from ovmot.errors import InputError
+from ovmot.ros.pairing import Side
+from ovmot.ros.ros1_messages import filled
+from ovmot.ros.ros1_node import live_calibration
+from ovmot.ros.session import LIVE_TOPICS
+from ovmot.ros.values import Published
+from ovmot.ros.worker import Worker
+from ovmot.types import ImuSample
+
+_LOOK_EVERY_S = 0.5
+_IMAGES_QUEUED, _IMU_QUEUED, _RESULTS_QUEUED = 10, 2000, 10
+_REMEDY = "run it by the Python of a sourced ROS 2, 3.11 or newer: Jazzy or later (docs/ros.md)"
+
+
+def run_node(
+    config: Path | None,
+    calibration: Path | None,
+    overrides: tuple[str, ...],
+    arguments: Sequence[str] = (),
+) -> None:
+    """Run until Ctrl-C, which is raised; `arguments` are ROS's own (`--ros-args ...`).
+
+    Raises `InputError` where rclpy or the calibration is missing.
+    """
+    rclpy = _import_rclpy()
+    settings, known = load_settings(config, overrides), live_calibration(calibration)
+    try:
+        rclpy.init(
+            args=["ovmot", *arguments], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO
+        )
+    except Exception as error:  # rclpy has no common base of what it makes of bad arguments
+        raise InputError(f"ROS 2 does not start: {' '.join(str(error).split())}") from None
+    node = _Node(rclpy, settings, known)
+    try:
+        node.spin()
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
+class _Node:
+    """Subscriptions that fill the worker's intake, and publishers behind it."""
+
+    def __init__(self, rclpy: Any, settings: Settings, calibration: Calibration) -> None:
+        self._rclpy = rclpy
+        self._node = rclpy.create_node("ovmot")
+        self._log = self._node.get_logger()
+        self._worker = Worker(settings, calibration, _Publishers(self._node), self._log.warning)
+        self._subscribe(settings)
+
+    def spin(self) -> None:
+        """Give out messages and look after the inputs until ROS ends."""
+        next_look_s = time.monotonic()
+        while self._rclpy.ok():
+            self._rclpy.spin_once(self._node, timeout_sec=_LOOK_EVERY_S)
+            if time.monotonic() >= next_look_s:
+                next_look_s += _LOOK_EVERY_S
+                for line in self._worker.look():
+                    self._log.warning(line)
+
+    def close(self) -> None:
+        """End the worker and say what was done."""
+        self._log.info(self._worker.close())
+        self._node.destroy_node()
+
+    def _subscribe(self, settings: Settings) -> None:
+        """Best effort: such a subscription takes what any publisher offers."""
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+        from sensor_msgs.msg import CompressedImage, Image, Imu
+        from std_srvs.srv import Trigger
+
+        live, intake = settings.live, self._worker.intake
+        effort = ReliabilityPolicy.BEST_EFFORT
+
+        def subscribe_image(side: Side, topic: str) -> None:
+            kind = CompressedImage if topic.endswith("/compressed") else Image
+            self._node.create_subscription(
+                kind, topic, lambda m: intake.put_image(side, _stamp_ns(m), m),
+                QoSProfile(depth=_IMAGES_QUEUED, reliability=effort),
+            )  # fmt: skip
+
+        def on_reset(_: Any, response: Any) -> Any:
+            intake.restart("reset asked for")
+            response.success, response.message = True, "starting again, in a new segment"
+            return response
+
+        subscribe_image("left", live.left)
+        subscribe_image("right", live.right)
+        self._node.create_subscription(
+            Imu, live.imu, lambda m: intake.put_imu(_imu_sample(m)),
+            QoSProfile(depth=_IMU_QUEUED, reliability=effort),
+        )  # fmt: skip
+        self._node.create_service(Trigger, "~/reset", on_reset)
+
+
+class _Publishers:
+    """A `Sink`: a publisher for every topic whose type is installed."""
+
+    def __init__(self, node: Any) -> None:
+        from builtin_interfaces.msg import Time
+
+        self._time_of = lambda seconds, rest: Time(sec=seconds, nanosec=rest)
+        self._publishers: dict[str, Any] = {}
+        for topic, kind in LIVE_TOPICS.items():
+            try:
+                found = _class_of(kind)
+            except ImportError:
+                node.get_logger().warning(f"{topic} is left out: {kind} is not installed")
+                continue
+            self._publishers[topic] = node.create_publisher(found, topic, _RESULTS_QUEUED)
+
+    def wanted(self, topic: str) -> bool:
+        """Does anybody listen to this topic?"""
+        publisher = self._publishers.get(topic)
+        return publisher is not None and publisher.get_subscription_count() > 0
+
+    def send(self, published: Published) -> None:
+        """Publish, where anybody listens."""
+        if self.wanted(published.topic):
+            message = filled(published.message, _class_of, self._time_of)
+            self._publishers[published.topic].publish(message)
+
+
+def _class_of(type_name: str) -> Any:
+    package, _, name = type_name.partition("/")
+    return getattr(import_module(f"{package}.msg"), name)
+
+
+def _stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _imu_sample(message: Any) -> ImuSample:
+    gyro, accel = message.angular_velocity, message.linear_acceleration
+    return ImuSample(
+        _stamp_ns(message),
+        np.array([gyro.x, gyro.y, gyro.z]),
+        np.array([accel.x, accel.y, accel.z]),
+    )
+
+
+def _import_rclpy() -> Any:
+    try:
+        import rclpy
+        import rclpy.signals
+        import sensor_msgs.msg  # noqa: F401
+        import std_srvs.srv  # noqa: F401
+    except ImportError as error:
+        raise InputError(f"ROS 2 is not there ({error}); {_REMEDY}") from None
+    return rclpy
