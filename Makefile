@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 REFERENCE_STAMP := $(VENV)/.installed-reference
 PYTEST_FLAGS ?= -n auto
+DEBIAN_PACKAGES ?= /usr/lib/python3/dist-packages
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 # pip's own settings (extra indexes, folders of wheels) must leave no trace in a lock file
@@ -15,7 +16,7 @@ COMPILE := --quiet --generate-hashes --strip-extras --allow-unsafe --no-emit-opt
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-reference demo test check bench lock clean
+.PHONY: help install install-reference install-ros demo test test-ros check bench lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,11 +41,17 @@ $(REFERENCE_STAMP): $(STAMP) requirements-reference.lock requirements-trackeval.
 	@$(PIP_INSTALL) --require-hashes --no-deps -r requirements-trackeval.lock
 	@touch $@
 
+install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its own
+	@echo $(DEBIAN_PACKAGES) > $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz-debian-ros.pth
+
 demo: install ## simulate a small street, run ovmot on it, say where the results are
 	$(BIN)/python examples/demo.py
 
 test: install ## run the tests
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+test-ros: install-ros ## test the live node with a real ROS 1 master (docs/ros.md)
+	OVMOT_TEST_ROS=1 $(BIN)/python -m pytest -n 0 -s tests/ros/test_live_ros1.py
 
 check: install ## lint, format, types, layers
 	$(BIN)/ruff check

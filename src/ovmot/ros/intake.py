@@ -137,7 +137,7 @@ class Intake:
         if newest_imu is not None and not self._is_covered():
             behind_ns = self._on_imu_clock(pair) - newest_imu
             if behind_ns <= 1e9 * settings.hold_s:
-                queue.room = max(queue.room, len(queue.pairs))
+                queue.room = max(queue.room, len(queue.pairs) + 1)
         while len(queue.pairs) > max(queue.room, settings.queue_frames):
             queue.pairs.popleft()
             self._counts["dropped"] += 1

@@ -20,7 +20,11 @@ class MasterWatch:
             return []
         if self._pid is None:
             return ["the ROS master is gone: connections stay, new ones cannot be made; going on"]
-        self._register_again()
+        try:
+            self._register_again()
+        except OSError as error:  # it has gone again
+            self._pid = None
+            return [f"the new ROS master does not answer ({error}); going on"]
         return ["there is a ROS master again: registered with it"]
 
     def _ask(self) -> int | None:
@@ -31,12 +35,14 @@ class MasterWatch:
 
     def _register_again(self) -> None:
         """A new master knows nobody; it hands our topics on to nodes that come after us."""
+        from rospy.impl.registration import get_service_manager
+
         uri = self._rospy.core.get_node_uri()
         topics = self._rospy.topics.get_topic_manager()
         for topic, kind in topics.get_publications():
             self._master.registerPublisher(topic, kind, uri)
         for topic, kind in topics.get_subscriptions():
             self._master.registerSubscriber(topic, kind, uri)
-        services = self._rospy.service.get_service_manager()
+        services = get_service_manager()
         for name, service_uri in services.get_services():
             self._master.registerService(name, service_uri, uri)

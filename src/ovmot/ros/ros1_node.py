@@ -1,6 +1,5 @@
 """`ovmot ros`: the live node on ROS 1 (Noetic). The only file that imports rospy."""
 
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,17 +10,13 @@ from ovmot.cameras.kalibr import read_kalibr
 from ovmot.config import Settings, load_settings
 from ovmot.datasets.registry import open_sequence, recognise
 from ovmot.errors import InputError, OvmotError
-from ovmot.msckf.start import FilterStart
-from ovmot.pipeline import Pipeline
-from ovmot.ros.intake import Intake
 from ovmot.ros.master import MasterWatch
 from ovmot.ros.pairing import Side
 from ovmot.ros.parameters import read_parameters
 from ovmot.ros.ros1_messages import Ros1Classes, filled, imu_sample, stamp_ns
-from ovmot.ros.session import LIVE_TOPICS, Session
+from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
-from ovmot.ros.watch import Watch
-from ovmot.run import noise_in_use
+from ovmot.ros.worker import Worker
 
 _LOOK_EVERY_S = 0.5
 _IMAGE_BUFFER = 1 << 24  # rospy's own, 64 KiB, holds less than an image and then lags
@@ -66,79 +61,37 @@ def live_calibration(path: Path | None) -> Calibration:
 
 
 class _Node:
-    """Subscribers that fill the intake, publishers, and the thread between them."""
+    """Subscribers that fill the worker's intake, and publishers behind it."""
 
     def __init__(self, rospy: Any, settings: Settings, calibration: Calibration) -> None:
         self._rospy = rospy
-        self._settings = settings
-        rig, live = calibration.rig, settings.live
-        noise = noise_in_use(calibration.imu_noise, settings)
-        self._intake = Intake(live, rig.time_offset_s)
-        self._sink = _Publishers(rospy)
-        self._session = Session(
-            self._intake,
-            lambda: Pipeline(rig, settings, FilterStart(rig, noise, settings)),
-            rig,
-            live,
-            self._sink,
-            rospy.logwarn,
-        )
-        self._failure: BaseException | None = None
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="ovmot-worker", daemon=True)
-        self._thread.start()
+        self._live = settings.live
+        self._worker = Worker(settings, calibration, _Publishers(rospy), rospy.logwarn)
         self._subscribe()
 
     def spin(self) -> None:
         """Look after inputs and master until shutdown; raises what ended the worker."""
-        live = self._settings.live
-        topics = {"left": live.left, "right": live.right, "imu": live.imu}
-        watch, master = Watch.begin(time.monotonic()), MasterWatch(self._rospy)
-        while self._thread.is_alive() and not self._rospy.is_shutdown():
-            self._thread.join(_LOOK_EVERY_S)  # not rospy.sleep: simulated time may stand
-            counts, apart_s = self._intake.counts(), self._intake.pair_distance_s
-            watch, lines = watch.look(time.monotonic(), counts, topics, apart_s)
-            for line in (*lines, *master.look()):
+        master = MasterWatch(self._rospy)
+        while not self._rospy.is_shutdown():
+            time.sleep(_LOOK_EVERY_S)  # not rospy.sleep: simulated time may stand
+            for line in (*self._worker.look(), *master.look()):
                 self._rospy.logwarn(line)
-        if self._failure is not None:
-            raise self._failure
 
     def close(self) -> None:
         """End the worker and say what was done."""
-        self._ending.set()
-        self._thread.join(timeout=5.0)
-        self._session.close()
-        self._rospy.loginfo(self.summary())
-
-    def summary(self) -> str:
-        """One line: frames by what became of them, and how late they were."""
-        counts, done = self._intake.counts(), self._session.counts
-        text = (
-            f"{counts['pairs']} frames, {done['results']} results, {counts['dropped']} dropped, "
-            f"{done['before_start']} before the start, {done['refused']} refused, "
-            f"{done['restarts']} restarts"
-        )
-        half, most = self._session.latency_ms(50), self._session.latency_ms(95)
-        return text if half is None else f"{text}; latency p50 {half:.0f} ms, p95 {most:.0f} ms"
-
-    def _work(self) -> None:
-        try:
-            while not self._ending.is_set():
-                self._session.work_once()
-        except BaseException as error:
-            self._failure = error
+        self._rospy.loginfo(self._worker.close())
 
     def _subscribe(self) -> None:
         from sensor_msgs.msg import CompressedImage, Image, Imu
         from std_srvs.srv import Trigger, TriggerResponse
 
-        rospy, live = self._rospy, self._settings.live
+        rospy, live, intake = self._rospy, self._live, self._worker.intake
 
         def on_image(side: Side) -> Callable[[Any], None]:
-            return lambda message: self._intake.put_image(side, stamp_ns(message), message)
+            return lambda message: intake.put_image(side, stamp_ns(message), message)
 
         def on_reset(_: Any) -> Any:
-            self._intake.restart("reset asked for")
+            intake.restart("reset asked for")
             return TriggerResponse(success=True, message="starting again, in a new segment")
 
         sides: tuple[tuple[Side, str], ...] = (("left", live.left), ("right", live.right))
@@ -149,7 +102,7 @@ class _Node:
                 tcp_nodelay=True,
             )  # fmt: skip
         rospy.Subscriber(
-            live.imu, Imu, lambda message: self._intake.put_imu(imu_sample(message)),
+            live.imu, Imu, lambda message: intake.put_imu(imu_sample(message)),
             queue_size=_IMU_QUEUED, tcp_nodelay=True,
         )  # fmt: skip
         rospy.Service("~reset", Trigger, on_reset)

@@ -129,6 +129,7 @@ class Session:
         self._pipeline = self._make_pipeline()
         self._trails = Trails()
         self._newest_ns = None
+        self._said_s.pop("start", None)
 
     def _publish(self, result: FrameResult) -> None:
         if not np.all(np.isfinite(result.ego.T_world_imu)):
@@ -163,6 +164,7 @@ class Session:
     def _say_why_not_started(self) -> None:
         if not self._pipeline.started:
             self.counts["before_start"] += 1
+            self._said_s.setdefault("start", time.monotonic())  # a quick start needs no words
             why = self._pipeline.not_started_because or "no frame is covered by the IMU"
             self._say_seldom("start", f"no start yet: {why}")
 

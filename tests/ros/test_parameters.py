@@ -1,0 +1,30 @@
+"""Private parameters are settings."""
+
+from pathlib import Path
+
+import pytest
+
+from ovmot.config import load_settings
+from ovmot.errors import InputError
+from ovmot.ros.parameters import read_parameters
+
+
+def test_parameters_set_settings_and_files() -> None:
+    private = {
+        "calibration": "/c.yaml",
+        "config": "",
+        "live": {"left": "/camera/left", "queue_frames": 7, "right": "", "publish_tf": False},
+        "tracker": {"min_distance_px": 9.5},
+    }
+    told = read_parameters(private)
+    assert told.calibration == Path("/c.yaml") and told.config is None
+    settings = load_settings(None, told.overrides)
+    assert settings.live.left == "/camera/left"
+    assert settings.live.right == "/cam1/image_raw"
+    assert settings.live.queue_frames == 7 and not settings.live.publish_tf
+    assert settings.tracker.min_distance_px == 9.5
+
+
+def test_an_unknown_parameter_is_named() -> None:
+    with pytest.raises(InputError, match="~calibratoin: unknown"):
+        read_parameters({"calibratoin": "/c.yaml"})

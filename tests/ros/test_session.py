@@ -1,0 +1,152 @@
+"""The worker on a pipeline made by hand: what is published, and how it goes on."""
+
+from collections import Counter
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.config import LiveSettings
+from ovmot.errors import OvmotError
+from ovmot.geometry import se3
+from ovmot.ros.intake import Intake
+from ovmot.ros.messages import OVERLAY, PATH, TF
+from ovmot.ros.session import IMU_ODOMETRY, Session
+from ovmot.ros.values import Published
+from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
+
+MS = 1_000_000
+WIDTH, HEIGHT = 60, 40
+
+
+class Sink:
+    """Remembers what was sent; listens to every topic but those left out."""
+
+    def __init__(self, unwanted: tuple[str, ...] = ()) -> None:
+        self.unwanted = unwanted
+        self.sent: list[Published] = []
+
+    def wanted(self, topic: str) -> bool:
+        return topic not in self.unwanted
+
+    def send(self, published: Published) -> None:
+        self.sent.append(published)
+
+    def topics(self) -> Counter[str]:
+        return Counter(published.topic for published in self.sent)
+
+
+class Pipeline:
+    """Gives the same result for each frame, with its stamp; breaks down at 13."""
+
+    started, not_started_because = True, None
+
+    def __init__(self, result: FrameResult) -> None:
+        self.result = result
+        self.counts: Counter[str] = Counter(resets=0)
+        self.closed = False
+
+    def feed(self, event: Event) -> list[FrameResult]:
+        if isinstance(event, ImuSample):
+            return []
+        assert isinstance(event, StereoFrame)
+        if event.timestamp_ns == 13 * MS:
+            raise OvmotError("the estimate broke down")
+        ego = replace(self.result.ego, timestamp_ns=event.timestamp_ns)
+        return [replace(self.result, frame=event, ego=ego)]
+
+    def latest(self) -> Any:
+        return self.result.ego
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Setup:
+    """A session, what it talks to, and what it says."""
+
+    def __init__(self, result: FrameResult, sink: Sink, settings: LiveSettings) -> None:
+        camera = Camera.make((WIDTH, HEIGHT), (50.0, 50.0), (30.0, 20.0), "none", [])
+        T = se3.make(np.eye(3), np.array([0.5, 0.0, 0.0]))
+        rig = StereoRig(camera, camera, np.eye(4), T)
+        self.intake, self.sink = Intake(settings), sink
+        self.said: list[str] = []
+        self.pipelines: list[Pipeline] = []
+
+        def make() -> Any:
+            self.pipelines.append(Pipeline(result))
+            return self.pipelines[-1]
+
+        self.session = Session(self.intake, make, rig, settings, sink, self.said.append)
+
+    def frame(self, at_ms: int, width: int = WIDTH) -> None:
+        message = SimpleNamespace(
+            encoding="mono8", height=HEIGHT, width=width, step=width, is_bigendian=0,
+            data=bytes(HEIGHT * width),
+        )  # fmt: skip
+        for side in ("left", "right"):
+            self.intake.put_image(side, at_ms * MS, message)
+        self.imu(at_ms)
+        self.session.work_once()
+
+    def imu(self, at_ms: int) -> None:
+        self.intake.put_imu(ImuSample(at_ms * MS, np.zeros(3), np.zeros(3)))
+
+
+@pytest.fixture
+def setup(result: FrameResult) -> Setup:
+    return Setup(result, Sink(unwanted=(OVERLAY,)), LiveSettings())
+
+
+def test_a_frame_becomes_messages_and_the_imu_goes_on_between(setup: Setup) -> None:
+    setup.frame(100)
+    topics = setup.sink.topics()
+    assert topics[TF] == topics[PATH] == 1 and topics[OVERLAY] == topics[IMU_ODOMETRY] == 0
+    setup.imu(110)
+    setup.imu(120)
+    setup.session.work_once()
+    assert setup.sink.topics()[IMU_ODOMETRY] == 2
+    setup.imu(1200)  # the camera is silent: the IMU alone is no odometry
+    setup.session.work_once()
+    assert setup.sink.topics()[IMU_ODOMETRY] == 2
+
+
+def test_the_overlay_is_drawn_for_those_who_look(setup: Setup) -> None:
+    setup.frame(100)
+    setup.sink.unwanted = ()
+    setup.frame(200)
+    assert setup.sink.topics()[OVERLAY] == 1
+
+
+def test_tf_can_be_left_to_others(result: FrameResult) -> None:
+    setup = Setup(result, Sink(unwanted=(OVERLAY,)), LiveSettings(publish_tf=False))
+    setup.frame(100)
+    assert setup.sink.topics()[TF] == 0 and setup.sink.topics()[PATH] == 1
+
+
+def test_a_restart_makes_a_new_pipeline_and_a_new_path(setup: Setup) -> None:
+    setup.frame(10_000)
+    setup.frame(100)  # ten seconds back
+    assert setup.pipelines[0].closed and len(setup.pipelines) == 2
+    assert any("went back by" in line and "new segment" in line for line in setup.said)
+    paths = [p.message.fields["poses"] for p in setup.sink.sent if p.topic == PATH]
+    assert [len(poses) for poses in paths] == [1, 1]  # type: ignore[arg-type]
+
+
+def test_a_breakdown_is_said_and_the_next_frame_goes_on(setup: Setup) -> None:
+    setup.frame(10)
+    setup.frame(13)
+    setup.frame(20)
+    assert setup.session.counts["restarts"] == 1 and setup.session.counts["results"] == 2
+    assert "the estimate broke down: starting again, in a new segment" in setup.said
+
+
+def test_an_image_of_another_size_is_refused_with_topic_and_remedy(setup: Setup) -> None:
+    setup.frame(100, width=WIDTH + 2)
+    setup.frame(200)
+    assert setup.session.counts["refused"] == 1 and setup.session.counts["results"] == 1
+    assert "/cam0/image_raw at 100000000 ns: the image is 62x40 pixels" in setup.said[0]
