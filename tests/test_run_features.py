@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.config import Settings, load_settings
+from ovmot.config import Settings
 from ovmot.errors import InputError
 from ovmot.evaluation.calibration import calibration_errors, calibration_scalars
 from ovmot.evaluation.consistency import nees, pose_errors
@@ -18,6 +18,7 @@ from ovmot.formats import read_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
 from ovmot.run import RunOptions, run_features
+from ovmot.settings_file import load_settings
 from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
 from ovmot.sim.handheld import EUROC_NOISE, ORIGIN_NS, handheld_rig
 from ovmot.sim.miscalibration import CalibrationError, miscalibrated

@@ -14,8 +14,9 @@ import numpy as np
 from ovmot.cameras.calibration import Calibration, CalibrationNode, load_calibration_yaml
 from ovmot.cameras.kalibr import read_kalibr_noise, read_kalibr_rig
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import Settings, load_settings, make_settings, read_yaml_mapping
+from ovmot.config import Settings
 from ovmot.errors import InputError
+from ovmot.settings_file import load_settings, make_settings, read_yaml_mapping
 
 PLAIN = {
     "calib_cam_extrinsics": "calibration.extrinsics",

@@ -1,8 +1,6 @@
 """The program: IMU samples and stereo frames in, one `FrameResult` a frame out."""
 
 from collections import Counter, deque
-from collections.abc import Sequence
-from typing import Protocol, Self
 
 import numpy as np
 
@@ -12,12 +10,13 @@ from ovmot.errors import DatasetError, OvmotError
 from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.imu_buffer import ImuBuffer, integrated_rotation
 from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.split import Split, split_points
 from ovmot.objects.tracker import ObjectTracker
+from ovmot.parts import Ego, FrontEnd, Start
 from ovmot.timing import Stopwatch
 from ovmot.tracks import TrackTable, append_frame, bar_features, empty_table, mark_suspects
 from ovmot.types import (
@@ -40,104 +39,6 @@ _NOISE_GAIN = 0.1  # of a frame, in the noise of matches
 _IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
 
 STAGES = ("start", "predict", "match", "split", "correct", "objects", "forget")
-
-
-class FrontEnd(Protocol):
-    """From one frame to the next, features with ids."""
-
-    def track(
-        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
-    ) -> tuple[FrontendFrame, StereoMatches]:
-        """Features of this frame, and every stereo match that the epipolar gate tested.
-
-        `T_now_before` (4, 4): predicted motion of the left camera since the last frame.
-        """
-        ...
-
-    def calibrate(self, rig: StereoRig) -> None:
-        """From now on the rig is calibrated like this."""
-        ...
-
-    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
-        """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
-        ...
-
-    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
-        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
-        ...
-
-    def close(self) -> None:
-        """Stop worker threads."""
-        ...
-
-
-class Ego(Protocol):
-    """A source of ego motion: the filter, or poses from a file. Each step gives a new one."""
-
-    def imu_time_ns(self, frame_ns: int) -> int:
-        """A frame's time on the IMU's clock."""
-        ...
-
-    def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that a frame must wait for, or None."""
-        ...
-
-    def predict(self, frame_ns: int, imu: ImuBuffer) -> Self:
-        """Go to the frame's time and remember its pose."""
-        ...
-
-    def correct(self, table: TrackTable) -> tuple[Self, TrackTable]:
-        """Use what was seen, but no feature that is barred or suspect."""
-        ...
-
-    def forget(self, table: TrackTable) -> tuple[Self, TrackTable]:
-        """Let a pose leave the window."""
-        ...
-
-    def window(self) -> PoseWindow:
-        """The poses of the window and their covariance."""
-        ...
-
-    def calibrated_rig(self) -> StereoRig:
-        """The rig as it is calibrated now."""
-        ...
-
-    def estimate(self, frame_ns: int) -> EgoEstimate:
-        """The state at the newest frame."""
-        ...
-
-    def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
-        """The state carried to a time on the IMU's clock."""
-        ...
-
-    def health(self, frame_ns: int) -> Health:
-        """How far it can be trusted at the newest frame."""
-        ...
-
-    def placed(self, T_world_imu: FloatArray) -> Self:
-        """The same source, which has just started, at a given position and heading."""
-        ...
-
-
-class Start(Protocol):
-    """Looks for a start in the frames seen so far."""
-
-    def imu_time_ns(self, frame_ns: int) -> int:
-        """A frame's time on the IMU's clock."""
-        ...
-
-    def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that a frame must wait for, or None."""
-        ...
-
-    def __call__(
-        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
-    ) -> tuple[Ego, TrackTable] | str:
-        """An ego source and the table of the frames that it has gone through, or why there is none.
-
-        That is none of the frames, and the source is at the first of them; or all of them.
-        """
-        ...
 
 
 class Pipeline:

@@ -24,7 +24,8 @@ from ovmot.msckf.start import FilterStart
 from ovmot.msckf.state import ImuState
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
-from ovmot.pipeline import STAGES, FrontEnd, Pipeline, Start
+from ovmot.parts import FrontEnd, Start
+from ovmot.pipeline import STAGES, Pipeline
 from ovmot.sim.features import FeatureRecording
 from ovmot.types import Event, ImuNoise, ImuSample
 

@@ -10,9 +10,9 @@ import pytest
 from ovmot.batch.jobs import METRICS_JSON, RunJob
 from ovmot.batch.plan import Features
 from ovmot.batch.work import work
-from ovmot.config import load_settings
 from ovmot.formats import write_tum
 from ovmot.geometry import se3, so3
+from ovmot.settings_file import load_settings
 from ovmot.sim.miscalibration import CalibrationError
 
 CALIBRATING = load_settings(None, ["calibration.extrinsics=true", "epipolar.threshold_px=30"])

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.config import load_settings
 from ovmot.errors import InputError
 from ovmot.ros.parameters import read_parameters
+from ovmot.settings_file import load_settings
 
 
 def test_parameters_set_settings_and_files() -> None:

@@ -5,9 +5,9 @@ from xml.etree import ElementTree
 
 import yaml
 
-from ovmot.config import load_settings
 from ovmot.ros.parameters import read_parameters
 from ovmot.ros.session import LIVE_TOPICS
+from ovmot.settings_file import load_settings
 
 FOLDER = Path(__file__).parents[2] / "ros"
 

@@ -16,8 +16,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError, field_validator, model_validator
 
-from ovmot.config import SETTINGS_REMEDY, Section, Settings, plain_messages, read_yaml_mapping
+from ovmot.config import Section, Settings
 from ovmot.errors import InputError
+from ovmot.settings_file import SETTINGS_REMEDY, plain_messages, read_yaml_mapping
 from ovmot.sim.miscalibration import CalibrationError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")

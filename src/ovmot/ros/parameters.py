@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ovmot.config import SETTINGS_REMEDY
 from ovmot.errors import InputError
+from ovmot.settings_file import SETTINGS_REMEDY
 
 _FILES = ("config", "calibration")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.kalibr import read_kalibr
-from ovmot.config import Settings, load_settings
+from ovmot.config import Settings
 from ovmot.datasets.registry import open_sequence, recognise
 from ovmot.errors import InputError, OvmotError
 from ovmot.ros.master import MasterWatch
@@ -17,6 +17,7 @@ from ovmot.ros.ros1_messages import Ros1Classes, filled, imu_sample, stamp_ns
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
 from ovmot.ros.worker import Worker
+from ovmot.settings_file import load_settings
 
 _LOOK_EVERY_S = 0.5
 _IMAGE_BUFFER = 1 << 24  # rospy's own, 64 KiB, holds less than an image and then lags

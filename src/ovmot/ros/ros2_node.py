@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.config import Settings, load_settings
+from ovmot.config import Settings
 from ovmot.errors import InputError
 from ovmot.ros.pairing import Side
 from ovmot.ros.ros1_messages import filled
@@ -17,6 +17,7 @@ from ovmot.ros.ros1_node import live_calibration
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
 from ovmot.ros.worker import Worker
+from ovmot.settings_file import load_settings
 from ovmot.types import ImuSample
 
 _LOOK_EVERY_S = 0.5

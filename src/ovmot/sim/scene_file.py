@@ -12,8 +12,9 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, Field, ValidationError
 
-from ovmot.config import Section, plain_messages, read_yaml_mapping
+from ovmot.config import Section
 from ovmot.errors import InputError
+from ovmot.settings_file import plain_messages, read_yaml_mapping
 
 CATALOG = Path(str(resources.files("ovmot.sim") / "catalog"))
 SCENES: tuple[str, ...] = (
