@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ovmot.frontend.contrast import EQUALIZERS
+from ovmot.frontend.contrast import EQUALIZERS, grey_percentiles
 from ovmot.geometry.arrays import Image
 
 
@@ -56,3 +56,10 @@ def test_a_blank_image_is_no_trouble(name: str) -> None:
     out = EQUALIZERS[name](np.full((120, 160), 77, dtype=np.uint8))
     assert out.dtype == np.uint8
     assert np.ptp(out) == 0
+
+
+def test_percentiles_of_greys_are_those_of_numpy(dark: Image) -> None:
+    percent = (0.0, 2.0, 37.3, 98.0, 100.0)
+    for image in (dark, dark[:7, :3], dark[::4, ::4]):
+        expected = np.percentile(image, percent)
+        np.testing.assert_allclose(grey_percentiles(image, percent), expected, rtol=1e-12)

@@ -1,12 +1,12 @@
 """New corners: FAST over the whole image, spread by a grid."""
 
-import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ovmot.frontend.spread_kernel import take_apart_compiled
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 
 _BORDER_PX = 8
@@ -96,15 +96,9 @@ def _spread(
         points = points[apart >= distance]
     cells, room = _cells_and_room(points, existing, size, spread)
     points, cells = points[room[cells] > 0], cells[room[cells] > 0]
-    taken: dict[tuple[int, int], tuple[float, float]] = {}  # by bin of side `distance`
-    for (u, v), cell in zip(points.tolist(), cells.tolist(), strict=True):  # quicker than rows
-        if len(taken) == n_wanted:
-            break
-        bin_uv = int(u // distance), int(v // distance)
-        if room[cell] > 0 and _is_free((u, v), bin_uv, taken, distance):
-            room[cell] -= 1
-            taken[bin_uv] = u, v
-    return np.array(list(taken.values())).reshape(-1, 2)
+    if len(points) == 0:
+        return points
+    return points[take_apart_compiled(points, cells, room, n_wanted, distance)]
 
 
 def _cells_and_room(
@@ -121,18 +115,3 @@ def _cells_and_room(
 
     filled = np.bincount(cell_of(existing), minlength=rows * columns)
     return cell_of(points), spread.per_cell - filled
-
-
-def _is_free(
-    point: tuple[float, float],
-    bin_uv: tuple[int, int],
-    taken: dict[tuple[int, int], tuple[float, float]],
-    distance: float,
-) -> bool:
-    """Is no taken corner nearer than `distance`? Only the bins around can hold one."""
-    u, v = bin_uv
-    return not any(
-        math.dist(point, taken[near]) < distance
-        for near in ((u + i, v + j) for i in (-1, 0, 1) for j in (-1, 0, 1))
-        if near in taken
-    )
