@@ -9,7 +9,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from ovmot.kernel_cache import code_folder, compiled
+from ovmot.kernel_cache import code_folder, compiled, is_first_use
 
 SCRIPT = """
 import sys
@@ -116,3 +116,20 @@ def test_nothing_of_the_process_is_changed(tmp_path: Path) -> None:
     assert any(tmp_path.rglob("*.nbi"))
     assert dict(os.environ) == environment
     assert vars(numba.config)["CACHE_DIR"] == folder_before
+
+
+def test_the_first_use_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    package = tmp_path / "package"
+    package.mkdir()
+    source = package / "small_kernel.py"
+    source.write_text(KERNEL.format("i"))
+    assert is_first_use(package)
+    folder = code_folder(source)
+    assert folder is not None
+    (folder / "of_this_path").mkdir()
+    (folder / "of_this_path" / "kernel.nbi").write_bytes(b"")
+    assert not is_first_use(package)
+    source.write_text(KERNEL.format("i * i"))  # another version
+    assert is_first_use(package)

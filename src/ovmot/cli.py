@@ -36,6 +36,7 @@ from ovmot.doctor.examine import examine, sampled_frames
 from ovmot.doctor.report import report_table, write_report
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
+from ovmot.kernel_cache import is_first_use
 from ovmot.openvins import load_run_config
 from ovmot.outputs.run_writer import Output, RunContext
 from ovmot.ros.bag_output import BagOutput
@@ -165,6 +166,8 @@ def run(
         out, _ego_poses(ego), save_points, video, force, first, last, masks, more, given.mask_files
     )
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
+    if is_first_use(Path(ovmot.__file__).parent):
+        _say("ovmot: the first run on this machine compiles some code; that takes up to a minute")
     with (
         _interruptible("what was done until here is written whole"),
         _progress("run", max(stop - first, 0)) as advance,

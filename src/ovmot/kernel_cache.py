@@ -53,6 +53,12 @@ def _njit(function: _F, cache: bool, reorder: bool) -> _F:
     return cast(_F, decorate(function))
 
 
+def is_first_use(package: Path) -> bool:
+    """Is no code compiled from this folder's `*_kernel.py` kept on this machine yet?"""
+    folders = [code_folder(source) for source in package.rglob("*_kernel.py")]
+    return not any(folder is not None and any(folder.rglob("*.nbi")) for folder in folders)
+
+
 class _Forgiving:
     """numba's cache of one function, with a spoilt file or a full disk as good as no cache."""
 
