@@ -56,7 +56,7 @@ def _checked(
     for camera in rig.cameras:
         if camera.lens.name != "radtan":
             problem = f"KITTI calibration cannot hold a lens '{camera.lens.name}'"
-            raise InputError.at(folder, problem, "use radtan")
+            raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
     try:
         yield from _write(folder, simulation, rig, form, seed)
     except OSError as error:

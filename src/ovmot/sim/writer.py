@@ -51,9 +51,8 @@ def write_kaist(folder: Path, simulation: Simulation, seed: int) -> Iterator[int
     """
     for camera in simulation.rig.cameras:
         if camera.lens.name != "radtan":
-            raise InputError.at(
-                folder, f"KAIST calibration cannot hold a lens '{camera.lens.name}'", "use radtan"
-            )
+            problem = f"KAIST calibration cannot hold a lens '{camera.lens.name}'"
+            raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
     try:
         yield from _write_sequence(folder, simulation, seed)
     except OSError as error:
