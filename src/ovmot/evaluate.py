@@ -17,10 +17,8 @@ from ovmot.evaluation.calibration import (
     calibration_scalars,
 )
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
-from ovmot.evaluation.ego_plots import error_figure, nees_figure, save_figure
 from ovmot.evaluation.ego_truth import EgoTruth, read_ego_truth
 from ovmot.evaluation.labels import LabelCounts, count_labels
-from ovmot.evaluation.map_plot import map_figure
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, compare_frames
 from ovmot.evaluation.object_files import read_matches, read_points, read_tracks
 from ovmot.evaluation.object_truth import ObjectTruth, read_object_truth
@@ -122,6 +120,10 @@ def write_metrics(run: Path, evaluation: Evaluation) -> None:
 
 def write_plots(run: Path, evaluation: Evaluation) -> None:
     """Write the errors with their bounds, NEES, and the map; raises `OvmotError`."""
+    # matplotlib loads for half a second: no other command shall wait for it
+    from ovmot.evaluation.ego_plots import error_figure, nees_figure, save_figure
+    from ovmot.evaluation.map_plot import map_figure
+
     series = evaluation.ego.series
     save_figure(error_figure(series), run / _ERRORS)
     save_figure(nees_figure(series), run / _NEES)
