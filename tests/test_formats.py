@@ -25,7 +25,7 @@ def test_seconds_become_exact_nanoseconds(text: str, expected: int) -> None:
     assert formats.seconds_to_ns(text) == expected
 
 
-@pytest.mark.parametrize("text", ["", "abc", "nan", "inf", "1,5"])
+@pytest.mark.parametrize("text", ["", "abc", "nan", "inf", "1,5", "1e999999", "1e20", "-1e20"])
 def test_other_text_is_no_time(text: str) -> None:
     with pytest.raises(ValueError, match="not a time"):
         formats.seconds_to_ns(text)
@@ -158,3 +158,18 @@ def test_ego_files_that_do_not_fit(tmp_path: Path) -> None:
     for path, message in cases:
         with pytest.raises(InputError, match=message):
             formats.read_ego_poses(path, np.array([0, 1, 2]))
+
+
+def test_stamps_of_absurd_length_are_no_stamps(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(f"1,2\n{'1' * 5000},3\n")
+    with pytest.raises(InputError, match=r"data\.csv, row 2: '1{40}' is not a stamp"):
+        formats.read_stamped_csv(path, 2)
+
+
+def test_names_of_columns_may_follow_a_comment(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("# made by hand\n\ntimestamp,value\n1,2\n")
+    table = formats.read_stamped_csv(path, 2)
+    assert table.timestamp_ns.tolist() == [1]
+    assert table.row.tolist() == [4]

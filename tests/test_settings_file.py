@@ -65,7 +65,7 @@ def test_an_override_takes_numbers_with_exponents_and_none() -> None:
         ("tracker: 7\n", ["'tracker'", "got 7"]),
         ("epipolar: {scale: fx}\n", ["'epipolar.scale'", "'angle'", "'fy'"]),
         ("epipolar: {threshold_px: .nan}\n", ["'epipolar.threshold_px'", "nan"]),
-        ("- tracker\n", ["expected sections"]),
+        ("- tracker\n", ["holds no keys"]),
         ("[tracker]: 3\n", ["row 1: not valid YAML"]),
         ("tracker: [1, 2\n", ["row 2: not valid YAML"]),
         ("tracker: !!python/object:os.system {}\n", ["not valid YAML"]),

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from yaml import YAMLError
-
 
 class OvmotError(Exception):
     """Base of every error whose message is meant for the user as it stands."""
@@ -27,11 +25,3 @@ class CalibrationError(InputError):
 
 class DatasetError(InputError):
     """A recorded sequence that cannot be read, or not any further."""
-
-
-def yaml_problem(error: YAMLError) -> tuple[str, int | None]:
-    """What is wrong with a text that is no YAML, in one line, and the row (1-based) if known."""
-    mark = getattr(error, "problem_mark", None)
-    problem = getattr(error, "problem", None) or str(error)
-    row = None if mark is None else int(mark.line) + 1
-    return f"not valid YAML: {' '.join(problem.split())}", row

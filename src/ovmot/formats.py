@@ -8,7 +8,7 @@ the top. Every error names the file and the row (1-based, as an editor counts).
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +17,7 @@ import numpy as np
 from ovmot.errors import DatasetError, InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from ovmot.text_files import read_text
 
 MAX_POSE_GAP_S = 0.15
 """Poses farther apart than this are not interpolated."""
@@ -81,8 +82,10 @@ def seconds_to_ns(text: str) -> int:
     """Nanoseconds of a decimal number of seconds, exactly; raises `ValueError` for other text."""
     try:
         value = Decimal(text)
+        if not abs(value) < _INT64 // _NS:
+            raise ValueError("beyond any clock")
         return int((value * _NS).to_integral_value())
-    except (InvalidOperation, OverflowError, ValueError):
+    except (ArithmeticError, ValueError):
         raise ValueError(f"'{text}' is not a time in seconds") from None
 
 
@@ -159,7 +162,7 @@ def read_stamped_names(path: Path) -> StampedNames:
 
     Raises `DatasetError` naming the first row that is something else.
     """
-    lines = read_lines(path, DatasetError)
+    lines = read_lines(path, DatasetError).with_data()
     stamps, names = [], []
     for row, text in zip(lines.row, lines.text, strict=True):
         stamp, _, name = text.partition(",")
@@ -254,10 +257,15 @@ class Lines:
     text: list[str]
     row: IntArray
 
-    def parse(self, layout: np.dtype[Any], n_columns: int, delimiter: str | None) -> AnyArray:
-        """The lines as an array of `layout`, by NumPy's parser; errors name the bad row."""
+    def with_data(self) -> "Lines":
+        """These lines; raises `error` if there are none."""
         if not self.text:
             raise self.error.at(self.path, "holds no data", "is this the right file?")
+        return self
+
+    def parse(self, layout: np.dtype[Any], n_columns: int, delimiter: str | None) -> AnyArray:
+        """The lines as an array of `layout`, by NumPy's parser; errors name the bad row."""
+        self.with_data()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # NumPy reads 1.5e18 as an integer, warning only
@@ -300,19 +308,16 @@ class Lines:
 
 def read_lines(path: Path, error: type[InputError]) -> Lines:
     """The lines that hold data: not empty, no comment, no names of columns."""
-    try:
-        everything = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise error.at(path, "no such file") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise error.at(path, f"cannot be read as text: {problem}") from None
+    everything = read_text(path, error).splitlines()
     rows: list[int] = []
     text: list[str] = []
+    header = False
     for row, line in enumerate(everything, start=1):
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
             continue
-        if not text and row == 1 and stripped[0].isalpha() and not _is_number(_first(stripped)):
+        if not text and not header and stripped[0].isalpha() and not _is_number(_first(stripped)):
+            header = True
             continue  # names of columns
         rows.append(row)
         text.append(stripped)
@@ -334,7 +339,8 @@ def _is_number(text: str) -> bool:
 def is_stamp(text: str) -> bool:
     """Is this a whole number of nanoseconds?"""
     digits = text.strip().removeprefix("-")
-    return digits.isascii() and digits.isdigit() and int(digits) < _INT64
+    fits = digits.isascii() and digits.isdigit() and len(digits) <= len(str(_INT64))
+    return fits and int(digits) < _INT64
 
 
 def _trajectory(

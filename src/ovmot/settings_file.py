@@ -3,16 +3,15 @@
 Unknown keys and values of the wrong type are errors that name the file and the key.
 """
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from ovmot.config import Settings
-from ovmot.errors import InputError, yaml_problem
+from ovmot.errors import InputError
+from ovmot.text_files import YamlError, parse_yaml, read_yaml
 
 SETTINGS_REMEDY = "list them with 'ovmot settings'"
 
@@ -46,40 +45,13 @@ def make_settings(
         ) from None
 
 
-class UniqueKeyLoader(yaml.SafeLoader):
-    """YAML's safe loader, but a key given twice is an error: else the first is lost silently."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                continue  # refused below
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"found '{key.value}' twice", key.start_mark
-                )
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
-    """The keys of a YAML file, read safely; none of an empty file. OpenCV's header is let pass.
-
-    Raises `InputError` for a file that can not be read, is no YAML, or holds something else.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        text = re.sub(r"\A\s*%YAML:[^\n]*", "", text)  # no directive of YAML
-        loaded = yaml.load(text, UniqueKeyLoader)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read the file: {error}") from None
-    except yaml.YAMLError as error:
-        problem, row = yaml_problem(error)
-        raise InputError.at(path, problem, row=row) from None
+    """The keys of a YAML file, none of an empty one; `InputError` for anything else."""
+    loaded = read_yaml(path, InputError)
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
-        raise InputError(f"{path}: expected sections of keys, found {loaded!r}")
+        raise InputError.at(path, "holds no keys", "write sections of keys")
     return loaded
 
 
@@ -89,8 +61,8 @@ def _apply_override(data: dict[str, Any], text: str) -> None:
     if not (equals and dot and section and name):
         raise InputError(f"--set {text}: write it as section.key=value")
     try:
-        parsed = yaml.safe_load(value)
-    except yaml.YAMLError:
+        parsed = parse_yaml(value)
+    except YamlError:
         raise InputError(f"--set {text}: the value is not valid YAML") from None
     keys = data.get(section, {})
     if not isinstance(keys, dict):
@@ -108,5 +80,10 @@ def plain_messages(error: ValidationError, remedy: str) -> str:
         elif item["type"] == "missing":
             lines.append(f"'{place}' is missing")
         else:
-            lines.append(f"'{place}': {item['msg']}, got {item.get('input')!r}")
+            lines.append(f"'{place}': {item['msg']}, got {_short(item.get('input'))}")
     return "; ".join(lines)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -107,6 +107,12 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: omni", "'omni' is not known"),
         ("T_cn_cnm1", "T_other", "'cam1.T_cam_imu': the camera's pose is missing"),
         ("-0.11]", "0.0]", "same place"),
+        ("-0.11]", "-110.0]", "110 m apart .translations are in metres"),
+        ("timeshift_cam_imu: 0.005", "timeshift_cam_imu: 1e300", "no clock is 1e.300 s off"),
+        ("458.6, 457.2", "1e-9, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
+        ("458.6, 457.2", "1e12, 1e12", "cam0: no lens makes a picture of 752x480 pixels"),
+        ("[-0.1, 0.01, 1.0e-3", "[1e9, 0.01, 1.0e-3", "cam0: no lens makes a picture"),
+        ("timeshift_cam_imu: 0.005", "resolution: [752, 480]", "found 'resolution' twice"),
         ("camera_model: pinhole\n", "camera_model: [pinhole\n", "not valid YAML"),
         ("cam1:", "cam7:", "'cam1': this key is missing"),
         ("distortion_model: equidistant", "distortion_model: equidistant\n  timeshift_cam_imu: 1.0",
@@ -130,7 +136,7 @@ def test_missing_and_empty_chain(tmp_path: Path) -> None:
         read_kalibr(tmp_path / "list.yaml")
 
 
-@pytest.mark.parametrize("value", ["0.0", "-1e-3", ".inf", "loud"])
+@pytest.mark.parametrize("value", ["0.0", "-1e-3", "1e20", ".inf", "loud"])
 def test_impossible_noise_is_refused(chain: Path, value: str) -> None:
     (chain.parent / "kalibr_imu_chain.yaml").write_text(IMU.replace("2e-3", value))
     with pytest.raises(CalibrationError, match=r"imu0\.accelerometer_noise_density"):

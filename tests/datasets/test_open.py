@@ -2,12 +2,14 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from ovmot.cameras.calibration import Calibration
 from ovmot.datasets import open_sequence
 from ovmot.errors import CalibrationError, DatasetError, InputError
 
@@ -202,11 +204,45 @@ def test_frame_stamps_backwards_twice_or_unreadable(kaist: Path) -> None:
     with pytest.raises(DatasetError, match=r"stereo_stamp\.csv, row 2: '1\.4e18' is not a stamp"):
         open_sequence(kaist)
     listed.write_text("")
-    with pytest.raises(DatasetError, match=r"none of its 0 stamps"):
+    with pytest.raises(DatasetError, match=r"holds no data"):
         open_sequence(kaist)
 
 
 # ---- the IMU
+
+
+def test_stamps_of_another_unit(euroc: Path) -> None:
+    """Microseconds in all files overlap as well as nanoseconds do."""
+    rows = imu_file(euroc).read_text().splitlines()
+    parts = [row.partition(",") for row in rows[1:]]
+    in_us = [f"{int(stamp) // 1000},{rest}" for stamp, _, rest in parts]
+    imu_file(euroc).write_text("\n".join([rows[0], *in_us]))
+    with pytest.raises(DatasetError, match=r"imu0/data\.csv: 121 samples within 600000 ns; stamps"):
+        open_sequence(euroc)
+    imu_file(euroc).unlink()
+    for camera in ("cam0", "cam1"):
+        folder = euroc / "mav0" / camera
+        (folder / "data.csv").unlink()
+        for image in (folder / "data").iterdir():
+            image.rename(image.with_name(f"{int(image.stem) // 10_000}.png"))
+    with pytest.raises(DatasetError, match=r"tiny: 6 stereo pairs within 50000 ns; stamps"):
+        open_sequence(euroc)
+
+
+def test_a_name_of_absurd_length_is_no_stamp(euroc: Path) -> None:
+    folder = euroc / "mav0" / "cam0"
+    (folder / "data.csv").unlink()
+    next((folder / "data").iterdir()).rename(folder / "data" / f"{'9' * 25}.png")
+    with pytest.raises(DatasetError, match=r"9{25}\.png: the file name is not a number"):
+        open_sequence(euroc)
+
+
+def test_imu_values_that_no_sensor_gives(euroc: Path) -> None:
+    rows = imu_file(euroc).read_text().splitlines()
+    rows[50] = rows[50].rpartition(",")[0] + ",1e300"
+    imu_file(euroc).write_text("\n".join(rows))
+    with pytest.raises(DatasetError, match=r"data\.csv, row 51: .*no sensor measures; correct or"):
+        open_sequence(euroc)
 
 
 def test_no_imu_is_said(euroc: Path) -> None:
@@ -276,9 +312,15 @@ def test_frames_outside_the_imu_are_dropped(euroc: Path) -> None:
 def test_imu_of_another_clock(euroc: Path) -> None:
     path = imu_file(euroc)
     lines = path.read_text().splitlines()
-    path.write_text("\n".join(str(int(line[:19]) // 1000) + line[19:] for line in lines[1:]))
+    path.write_text("\n".join(str(int(line[:19]) - 10**18) + line[19:] for line in lines[1:]))
     with pytest.raises(DatasetError, match="do not overlap; stamps are nanoseconds of one clock"):
         open_sequence(euroc)
+
+
+def test_a_time_offset_that_leaves_no_frame_is_named(euroc: Path, tmp_path: Path) -> None:
+    rig = replace(open_sequence(euroc).rig, time_offset_s=-1000.0)
+    with pytest.raises(DatasetError, match=r"images .*, moved by the time offset of -1000 s"):
+        open_sequence(euroc, calibration=Calibration(rig, None))
 
 
 @pytest.mark.parametrize(("value", "hint"), [("1.0", "may be g"), ("16384", "raw counts")])

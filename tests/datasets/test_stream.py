@@ -1,6 +1,7 @@
 """Events: their order, decoding ahead, broken images, clean ends."""
 
 import itertools
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -104,6 +105,14 @@ def test_an_image_that_vanished(euroc: Path) -> None:
     sequence = open_sequence(euroc)
     sequence.left_paths[0].unlink()
     with pytest.raises(DatasetError, match="cannot read the image"):
+        list(events(sequence))
+
+
+def test_an_image_that_is_a_pipe(euroc: Path) -> None:
+    sequence = open_sequence(euroc)
+    sequence.left_paths[0].unlink()
+    os.mkfifo(sequence.left_paths[0])
+    with pytest.raises(DatasetError, match=r"\.png: is no file"):
         list(events(sequence))
 
 

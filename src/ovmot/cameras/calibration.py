@@ -1,19 +1,18 @@
 """What calibration files have in common: safe YAML, checked numbers, errors that name the key."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.errors import CalibrationError, yaml_problem
+from ovmot.errors import CalibrationError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.text_files import read_yaml
 from ovmot.types import ImuNoise
 
 LENS_NAMES = {
@@ -33,6 +32,11 @@ NOISE_KEYS = {
 }
 """Keys of the noise densities, the same in Kalibr and EuRoC files."""
 
+_MOST_NOISE = 100.0
+_GRID = 9  # points a side
+_LEAST_SEEN = 0.25  # of the image: wrong coefficients fold the rest
+_FIELD = 0.003, 1e4  # tangent of the widest ray: 0.2 and 89.99 degrees
+
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
@@ -40,19 +44,6 @@ class Calibration:
 
     rig: StereoRig
     imu_noise: ImuNoise | None
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that takes OpenCV's `!!opencv-matrix` as a plain mapping."""
-
-
-def _plain_mapping(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(None, None, "expected rows, cols, data")
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _plain_mapping)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,18 +138,7 @@ def load_calibration_yaml(path: Path) -> CalibrationNode:
 
     Raises `CalibrationError` if the file is missing, is no YAML or holds no keys.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise CalibrationError(f"{path}: no such calibration file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot be read as text: {error}") from None
-    text = re.sub(r"\A\s*%YAML[^\n]*", "", text)  # OpenCV's form is not a YAML directive
-    try:
-        data = yaml.load(text, _Loader)  # a SafeLoader
-    except yaml.YAMLError as error:
-        problem, row = yaml_problem(error)
-        raise CalibrationError.at(path, problem, row=row) from None
+    data = read_yaml(path, CalibrationError, "no such calibration file")
     if not isinstance(data, dict):
         raise CalibrationError(f"{path}: holds no keys; is this a calibration file?")
     return CalibrationNode(path, "", data)
@@ -186,8 +166,9 @@ def read_imu_noise(node: CalibrationNode) -> ImuNoise:
     values = {}
     for name, key in NOISE_KEYS.items():
         values[name] = node.number(key)
-        if values[name] <= 0.0:
-            raise node.fail(key, f"{values[name]:g} is not a noise density", "it is positive")
+        if not 0.0 < values[name] < _MOST_NOISE:
+            remedy = f"it is positive, SI, and below {_MOST_NOISE:g}"
+            raise node.fail(key, f"{values[name]:g} is not a noise density", remedy)
     return ImuNoise(**values)
 
 
@@ -202,7 +183,23 @@ def make_rig(
         rig = StereoRig(*cameras, *T_imu_cam, time_offset_s)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}; correct the file") from None
+    for name, camera in zip(("cam0", "cam1"), cameras, strict=True):
+        if not _makes_a_picture(camera):
+            size = f"{camera.width}x{camera.height} pixels"
+            problem = f"{name}: no lens makes a picture of {size} by these numbers"
+            remedy = "correct focal lengths (in pixels) and distortion"
+            raise CalibrationError.at(path, problem, remedy)
     return rig.with_orthonormal_rotations()
+
+
+def _makes_a_picture(camera: Camera) -> bool:
+    """Does a share of the image see a field of view between a fraction of a degree and 180?"""
+    u, v = np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID)
+    with np.errstate(all="ignore"):
+        rays = camera.normalize(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+        radius = np.linalg.norm(rays, axis=1)
+    seen = np.isfinite(radius)
+    return bool(seen.mean() >= _LEAST_SEEN and _FIELD[0] < radius[seen].max() < _FIELD[1])
 
 
 def _short(value: Any) -> str:

@@ -9,6 +9,9 @@ from ovmot.errors import CalibrationError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 
+_WIDEST_M = 20.0
+_MOST_OFFSET_S = 4e9  # stamps of this century and the offset together fit into 64 bits of ns
+
 
 @dataclass(frozen=True, slots=True)
 class StereoRig:
@@ -16,7 +19,8 @@ class StereoRig:
 
     `T_imu_cam0`, `T_imu_cam1` (4, 4) map camera points into the IMU frame, metres.
     `time_offset_s` is added to a camera stamp to give the IMU's time: t_imu = t_cam + offset.
-    Raises `CalibrationError` for matrices that are no rigid motions or a rig without baseline.
+    Raises `CalibrationError` for matrices that are no rigid motions, a
+    baseline that no rig has, or a time offset that no clock has.
     """
 
     cam0: Camera
@@ -36,8 +40,14 @@ class StereoRig:
                 raise CalibrationError(f"{name} does not hold a rotation matrix")
         if self.baseline < 1e-3:
             raise CalibrationError("the two cameras of the rig stand at the same place")
-        if not np.isfinite(self.time_offset_s):
-            raise CalibrationError("the time offset between camera and IMU must be a finite number")
+        if self.baseline > _WIDEST_M:
+            raise CalibrationError(
+                f"the two cameras stand {self.baseline:g} m apart (translations are in metres)"
+            )
+        if not abs(self.time_offset_s) < _MOST_OFFSET_S:
+            raise CalibrationError(
+                f"no clock is {self.time_offset_s:g} s off: the time offset between camera and IMU"
+            )
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:

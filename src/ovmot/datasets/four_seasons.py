@@ -33,6 +33,7 @@ from ovmot.errors import CalibrationError, InputError
 from ovmot.formats import read_lines
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.text_files import read_text
 from ovmot.types import ImuData
 
 _IMAGES = "undistorted_images"
@@ -118,7 +119,7 @@ def _camera(path: Path) -> Camera:
     """A pinhole: `Pinhole fx fy cx cy 0`, then width and height; what follows is left out."""
     lines = read_lines(path, CalibrationError).text
     # `read_lines` takes a first line that begins with a letter for column names
-    first = path.read_text(encoding="utf-8-sig").split("\n", 1)[0].split()
+    first = read_text(path, CalibrationError).split("\n", 1)[0].split()
     if len(first) < 5 or first[0].lower() != "pinhole" or not lines:
         raise CalibrationError.at(path, "no pinhole", "write 'Pinhole fx fy cx cy 0'", row=1)
     try:
@@ -134,7 +135,7 @@ def _cam_from_imu(transformations: Path, chain: Path) -> FloatArray:
     """T_cam0_imu of the recording's transforms, else of the Kalibr chain."""
     if not transformations.exists():
         return load_calibration_yaml(chain).child("cam0").transform("T_cam_imu")
-    lines = transformations.read_text(encoding="utf-8-sig").splitlines()
+    lines = read_text(transformations, CalibrationError).splitlines()
     for row, line in enumerate(lines, start=1):
         if not line.startswith("# TS_cam_imu"):
             continue

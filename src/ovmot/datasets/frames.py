@@ -9,7 +9,7 @@ import numpy as np
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.images import SUFFIXES
 from ovmot.errors import DatasetError
-from ovmot.formats import StampedNames
+from ovmot.formats import StampedNames, is_stamp
 from ovmot.geometry.arrays import IntArray
 
 
@@ -37,7 +37,7 @@ def numbered_images(folder: Path) -> dict[int, Path]:
     """Images by the number that is their name; raises `DatasetError` for any other name."""
     found: dict[int, Path] = {}
     for path in images_in(folder).values():
-        if not (path.stem.isascii() and path.stem.isdigit()):
+        if not (path.stem.isdigit() and is_stamp(path.stem)):
             problem = "the file name is not a number"
             raise DatasetError.at(path, problem, "name images by stamp (ns) or frame number")
         if int(path.stem) in found:

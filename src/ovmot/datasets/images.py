@@ -49,6 +49,8 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def _read_bytes(path: Path) -> bytes:
+    if path.exists() and not path.is_file():  # a pipe would never end
+        raise DatasetError.at(path, "is no file", _REMEDY)
     try:
         return path.read_bytes()
     except OSError as error:

@@ -1,13 +1,18 @@
 """Checks that every IMU table passes before it is used."""
 
+from pathlib import Path
+
 import numpy as np
 
 from ovmot.datasets.findings import Findings
 from ovmot.errors import DatasetError
 from ovmot.formats import StampedTable, ns_to_seconds
+from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
 _ACCEL_RANGE = (5.0, 15.0)
+_MOST = 1e6  # rad/s or m/s², and raw counts of 20 bits: beyond any sensor
+_LEAST_INTERVAL_NS = 10_000
 
 
 def checked_imu(
@@ -17,7 +22,7 @@ def checked_imu(
 
     `gyro_first`, `accel_first`: columns of the values where each triple begins. Gaps longer than
     `max_gap_s` and units that look wrong become counted warnings. Raises `DatasetError` with the
-    row where stamps run backwards.
+    row where stamps run backwards or a value is absurd, and for stamps that are no nanoseconds.
     """
     steps = np.diff(table.timestamp_ns)
     if np.any(steps < 0):
@@ -33,9 +38,21 @@ def checked_imu(
         table.values[fresh, gyro_first : gyro_first + 3],
         table.values[fresh, accel_first : accel_first + 3],
     )
+    _refuse_absurd(imu, table.row[fresh], table.path)
     _note_gaps(imu, table, max_gap_s, findings)
     _note_units(imu, table, findings)
     return imu
+
+
+def _refuse_absurd(imu: ImuData, row: IntArray, path: Path | str) -> None:
+    if len(imu) > 1 and np.median(np.diff(imu.timestamp_ns)) < _LEAST_INTERVAL_NS:
+        problem = f"{len(imu)} samples within {np.ptp(imu.timestamp_ns)} ns"
+        raise DatasetError.at(path, problem, "stamps are nanoseconds: convert them")
+    absurd = np.maximum(np.abs(imu.gyro), np.abs(imu.accel)).max(axis=1) > _MOST
+    if np.any(absurd):
+        problem = "holds a rate or an acceleration that no sensor measures"
+        first = int(row[int(np.argmax(absurd))])
+        raise DatasetError.at(path, problem, "correct or delete the row", row=first)
 
 
 def _note_gaps(imu: ImuData, table: StampedTable, max_gap_s: float, findings: Findings) -> None:
@@ -55,9 +72,12 @@ def _note_units(imu: ImuData, table: StampedTable, findings: Findings) -> None:
     mean = float(np.linalg.norm(imu.accel, axis=1).mean())
     low, high = _ACCEL_RANGE
     if not low <= mean <= high:
-        unit = "the unit may be g" if 0.5 < mean < 1.5 else "the values may be raw counts"
+        unit = "the unit may be g; convert to m/s²"
+        if mean <= 0.5:
+            unit = "gravity may have been taken off; write what the sensor measured"
+        elif mean >= 1.5:
+            unit = "the values may be raw counts; convert to m/s²"
         text = (
-            f"{table.path}: mean acceleration {mean:.3g} m/s², where gravity alone is 9.81:"
-            f" {unit}; convert to m/s²"
+            f"{table.path}: mean acceleration {mean:.3g} m/s², where gravity alone is 9.81: {unit}"
         )
         findings.note("imu_units", 1, text)

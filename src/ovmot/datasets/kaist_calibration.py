@@ -14,6 +14,7 @@ from ovmot.datasets.camera_info import read_camera, right_from_left, rotation
 from ovmot.errors import CalibrationError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.text_files import read_text
 
 # Real sequences without `Vehicle2IMU.txt` have the Xsens here (the data set's own description).
 T_VEHICLE_IMU_DEFAULT: FloatArray = se3.make(np.eye(3), np.array([-0.07, 0.0, 1.7]))
@@ -38,12 +39,7 @@ def read_kaist_calibration(folder: Path) -> Calibration:
 
 def read_vehicle_transform(path: Path) -> FloatArray:
     """T_vehicle_sensor (4, 4) of a text file with lines `R:` (9 numbers) and `T:` (3)."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise CalibrationError(f"{path}: no such calibration file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot be read as text: {error}") from None
+    lines = read_text(path, CalibrationError, "no such calibration file").splitlines()
     pairs = (line.partition(":") for line in lines)
     node = CalibrationNode(
         path, "", {key.strip(): rest.split() for key, colon, rest in pairs if colon}

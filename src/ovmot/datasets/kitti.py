@@ -14,6 +14,7 @@ from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.errors import DatasetError, InputError
 from ovmot.formats import seconds_to_ns
 from ovmot.geometry.arrays import IntArray
+from ovmot.text_files import read_text
 
 _TRACKING_PERIOD_NS = 100_000_000  # tracking has no stamps: 10 Hz from zero
 
@@ -124,12 +125,8 @@ def _stamps(times: Path | None, frame_numbers: IntArray) -> IntArray:
     """Stamps (M,) in ns of frame numbers (M,): a row of `times.txt` each, or 10 Hz from zero."""
     if times is None:
         return frame_numbers * _TRACKING_PERIOD_NS
-    try:
-        lines = times.read_text(encoding="utf-8-sig").split("\n")
-    except FileNotFoundError:
-        raise DatasetError.at(times, "no such file", "it holds each frame's time") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError.at(times, f"cannot be read as text: {error}") from None
+    missing = "no such file; it holds each frame's time"
+    lines = read_text(times, DatasetError, missing).split("\n")
     stamps: list[int] = []
     for row, line in enumerate(lines, start=1):
         if not line.strip():

@@ -10,6 +10,7 @@ from ovmot.errors import CalibrationError
 from ovmot.formats import R_WORLD_CAMERA_AXES
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.text_files import read_text
 
 
 def read_kitti_calibration(path: Path, left: int, size: tuple[int, int]) -> Calibration:
@@ -34,12 +35,7 @@ def read_kitti_calibration(path: Path, left: int, size: tuple[int, int]) -> Cali
 
 def read_keyed_numbers(path: Path) -> CalibrationNode:
     """Lines `key: numbers`; tracking writes some keys without the colon."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise CalibrationError(f"{path}: no such calibration file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot be read as text: {error}") from None
+    lines = read_text(path, CalibrationError, "no such calibration file").splitlines()
     fields = (line.split() for line in lines if line.strip())
     return CalibrationNode(path, "", {f[0].rstrip(":"): f[1:] for f in fields})
 

@@ -23,6 +23,7 @@ from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.errors import DatasetError, InputError
 from ovmot.formats import StampedTable
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.text_files import read_text
 from ovmot.types import ImuData
 
 _FIELDS = 30
@@ -134,12 +135,8 @@ def _frame_stamps(path: Path, listing: StereoListing) -> IntArray:
 
 def _read_times(path: Path) -> IntArray:
     """Nanoseconds of each row `2011-09-26 13:02:25.964389445`; -1 for an empty one."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").split("\n")
-    except FileNotFoundError:
-        raise DatasetError.at(path, "no such file", "it holds the time of each file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError.at(path, f"cannot be read as text: {error}") from None
+    missing = "no such file; it holds the time of each file"
+    lines = read_text(path, DatasetError, missing).split("\n")
     stamps = np.full(len(lines), _NO_STAMP, dtype=np.int64)
     for i, line in enumerate(lines):
         text = line.strip()
@@ -198,8 +195,8 @@ def _imu(oxts: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
 def _fields(path: Path) -> FloatArray:
     """The 30 numbers of one OXTS packet."""
     try:
-        values = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
-    except (OSError, ValueError) as error:
+        values = np.array(read_text(path, DatasetError).split(), dtype=np.float64)
+    except ValueError as error:
         raise DatasetError.at(path, f"cannot be read: {error}", "copy it again") from None
     if len(values) != _FIELDS or not np.all(np.isfinite(values)):
         problem = f"{len(values)} numbers where {_FIELDS} finite ones are expected"

@@ -20,6 +20,8 @@ from ovmot.types import ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
 
+_LEAST_INTERVAL_NS = 100_000  # a camera of 10 kHz
+
 
 @dataclass(frozen=True, slots=True)
 class StoredImage:
@@ -96,8 +98,12 @@ def assemble(
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 
     `numbers` (M,) are the data's own for the frames of `listing`. Raises `DatasetError` if it
-    covers none of them.
+    covers none of them, or for stamps that are no nanoseconds.
     """
+    stamps = listing.frame_ns
+    if len(stamps) > 1 and np.median(np.diff(stamps)) < _LEAST_INTERVAL_NS:
+        problem = f"{len(stamps)} stereo pairs within {stamps[-1] - stamps[0]} ns"
+        raise DatasetError.at(root, problem, "stamps are nanoseconds: convert them")
     keep = np.arange(len(listing.frame_ns))
     if imu is not None:
         keep = covered_frames(listing.frame_ns, imu, calibration.rig.time_offset_s, root, findings)
@@ -130,9 +136,10 @@ def covered_frames(
     first, last = imu.timestamp_ns[0], imu.timestamp_ns[-1]
     keep = np.flatnonzero((at >= first) & (at <= last))
     if len(keep) == 0:
-        spans = [ns_to_seconds(int(t)) for t in (frame_ns[0], frame_ns[-1], first, last)]
+        spans = [ns_to_seconds(int(t)) for t in (at[0], at[-1], first, last)]
+        moved = f", moved by the time offset of {time_offset_s:g} s" if time_offset_s else ""
         problem = (
-            f"images ({spans[0]} ... {spans[1]} s) and IMU ({spans[2]} ... {spans[3]} s)"
+            f"images ({spans[0]} ... {spans[1]} s{moved}) and IMU ({spans[2]} ... {spans[3]} s)"
             " do not overlap"
         )
         raise DatasetError.at(root, problem, "stamps are nanoseconds of one clock; check both")

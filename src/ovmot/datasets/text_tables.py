@@ -31,7 +31,7 @@ def read_stamped_list(path: Path) -> StampedNames:
 
     Raises `DatasetError` naming the first row that is something else.
     """
-    lines = read_lines(path, DatasetError)
+    lines = read_lines(path, DatasetError).with_data()
     stamps = []
     for row, text in zip(lines.row, lines.text, strict=True):
         stamp = text.split(None, 1)[0]
@@ -58,7 +58,7 @@ def read_timed_names(path: Path) -> StampedNames:
 
     Raises `DatasetError` naming the first row that is something else.
     """
-    lines = read_lines(path, DatasetError)
+    lines = read_lines(path, DatasetError).with_data()
     names = []
     for row, text in zip(lines.row, lines.text, strict=True):
         fields = text.split(None, 2)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.errors import InputError
 from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
+from ovmot.text_files import read_text
 
 DEPTH_UNITS_PER_M = 256.0
 """Of depth pictures, as KITTI's: 16 bits, 0 where nothing is known."""
@@ -73,8 +74,8 @@ def read_object_truth(data: Path) -> ObjectTruth | None:
     if not path.is_file():
         return None
     try:
-        listed = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        listed = json.loads(read_text(path, InputError))
+    except (ValueError, RecursionError) as error:
         raise InputError.at(path, f"cannot be read: {error}", _REMEDY) from None
     if not isinstance(listed, list):
         raise InputError.at(path, "is not a list of frames", _REMEDY)

@@ -1,0 +1,109 @@
+"""Text and YAML files that users give: read so that none can hang, flood or run the program."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ovmot.errors import InputError
+
+_MOST_YAML_CHARACTERS = 4_000_000
+_MOST_YAML_VALUES = 200_000
+
+
+def read_text(path: Path, error: type[InputError], missing: str = "no such file") -> str:
+    """The text of a file in UTF-8, without its byte order mark.
+
+    Raises `error` if it is missing, no plain file (a pipe would never end), or no text.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise error.at(path, "is no file", "give a file of text")
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise error.at(path, missing) from None
+    except UnicodeDecodeError as problem:
+        raise error.at(path, f"cannot be read as text: {problem}", "save it as UTF-8") from None
+    except OSError as problem:
+        raise error.at(path, f"cannot be read: {problem.strerror}") from None
+
+
+def read_yaml(path: Path, error: type[InputError], missing: str = "no such file") -> Any:
+    """What a YAML file holds; OpenCV's header, which is no directive of YAML, is let pass.
+
+    Raises `error` with the row for what is no file, no text or no YAML of ours (`parse_yaml`).
+    """
+    text = read_text(path, error, missing)
+    try:
+        return parse_yaml(re.sub(r"\A\s*%YAML:[^\n]*", "", text))
+    except YamlError as problem:
+        raise error.at(path, str(problem), "correct the file", row=problem.row) from None
+
+
+class YamlError(ValueError):
+    """Text that is no YAML, or none that is read here; `row` (1-based) if it is known."""
+
+    def __init__(self, problem: str, row: int | None = None) -> None:
+        super().__init__(f"not valid YAML: {' '.join(problem.split())}")
+        self.row = row
+
+
+def parse_yaml(text: str) -> Any:
+    """Plain values only: nothing is made or run that a tag names. Raises `YamlError`.
+
+    A key given twice is an error, since the first one would be lost without a word; so is a text
+    that is huge, also one that grows huge by its anchors.
+    """
+    if len(text) > _MOST_YAML_CHARACTERS:
+        raise YamlError(f"more than {_MOST_YAML_CHARACTERS} characters")
+    try:
+        loaded = yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = getattr(error, "problem", None) or str(error)
+        raise YamlError(problem, None if mark is None else int(mark.line) + 1) from None
+    except RecursionError:
+        raise YamlError("nested too deeply") from None
+    except Exception as error:  # what int(), date() and the like raise for a value
+        raise YamlError(f"a value cannot be read: {error}") from None
+    _refuse_huge(loaded)
+    return loaded
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, which keeps the last of equal keys; here they are an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue  # refused below
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"found '{key.value}' twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
+    """OpenCV's matrix as a plain mapping."""
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, "expected rows, cols, data")
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+
+
+def _refuse_huge(loaded: Any) -> None:
+    """Count the values as if anchors were written out: a few rows of them can make billions."""
+    count, waiting = 0, [loaded]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, dict | list):
+            waiting.extend(value.values() if isinstance(value, dict) else value)
+        count += 1
+        if count > _MOST_YAML_VALUES:
+            raise YamlError(f"more than {_MOST_YAML_VALUES} values")
