@@ -49,13 +49,18 @@ def test_levels_and_takes_the_gyro_bias(
 def test_failures_name_the_reason_and_its_numbers(start_ns: int) -> None:
     rest = resting_imu(start_ns, np.eye(3))
     wave = np.sin(np.arange(len(rest)))[:, None] * [0.0, 1.0, 0.0]
-    assert imu_restless(rest, SETTINGS) is None
+    assert imu_restless(rest, SETTINGS, G) is None
     # biases are no motion
-    assert imu_restless(ImuData(rest.timestamp_ns, rest.gyro + 0.1, rest.accel), SETTINGS) is None
+    assert (
+        imu_restless(ImuData(rest.timestamp_ns, rest.gyro + 0.1, rest.accel), SETTINGS, G) is None
+    )
     turning = ImuData(rest.timestamp_ns, rest.gyro + 0.1 * wave, rest.accel)
-    assert "gyroscope varies by 0.07" in str(imu_restless(turning, SETTINGS))
+    assert "gyroscope varies by 0.07" in str(imu_restless(turning, SETTINGS, G))
     shaking = ImuData(rest.timestamp_ns, rest.gyro, rest.accel + wave)
-    assert "accelerometer varies by 0.7" in str(imu_restless(shaking, SETTINGS))
+    assert "accelerometer varies by 0.7" in str(imu_restless(shaking, SETTINGS, G))
+    for share in (0.0, 1.0 / 9.81):  # gravity taken off, or in g
+        light = ImuData(rest.timestamp_ns, rest.gyro, share * rest.accel)
+        assert "(at rest within 1.5 of 9.81)" in str(imu_restless(light, SETTINGS, G))
     ids = np.arange(5)
     assert picture_restless(StandingPoints(ids, 0.9, 50, 0), SETTINGS) is None
     few = picture_restless(StandingPoints(ids, 0.1, 50, 0), SETTINGS)

@@ -98,7 +98,8 @@ class FilterStart:
         begin = min(begin, self.imu_time_ns(frames[0].timestamp_ns))
         samples = imu.between(begin, now)
         points = standing_points(frames[0], frames[-1], self.rig, settings.rest_pixel)
-        failure = imu_restless(samples, settings) or picture_restless(points, settings)
+        gravity = self.settings.filter.gravity_mps2
+        failure = imu_restless(samples, settings, gravity) or picture_restless(points, settings)
         if failure is not None:
             return failure
         state = start_at_rest(samples)

@@ -13,6 +13,9 @@ from ovmot.msckf.start_bodies import PIXEL_SIGMA, plane_sigma, space_filled
 from ovmot.msckf.state import ImuState
 from ovmot.types import FrontendFrame, ImuData, followed_pixels
 
+MAX_GRAVITY_ERROR = 1.5
+"""m/s² off gravity, of a start: more than the bias of any sensor, as wrong units are."""
+
 _MIN_POINTS = 8
 _ROTATION_SIGMA = 0.01  # rad over the window, of a rig whose gyroscope is quiet
 _MIN_MOTION_M = 0.01  # less is a body rocking on its springs
@@ -32,8 +35,14 @@ class StandingPoints:
     moving_space: int
 
 
-def imu_restless(imu: ImuData, settings: InitializationSettings) -> str | None:
+def imu_restless(imu: ImuData, settings: InitializationSettings, gravity_mps2: float) -> str | None:
     """Why the IMU says that the rig can not rest, or None."""
+    force = float(np.linalg.norm(imu.accel.mean(0)))
+    if abs(force - gravity_mps2) > MAX_GRAVITY_ERROR:
+        return (
+            f"accelerometer measures {force:.2f} m/s²"
+            f" (at rest within {MAX_GRAVITY_ERROR:g} of {gravity_mps2:g})"
+        )
     gyro, accel = float(imu.gyro.std(0).max()), float(imu.accel.std(0).max())
     if gyro > settings.rest_gyro_rps:
         return f"gyroscope varies by {gyro:.3f} rad/s (at rest below {settings.rest_gyro_rps:g})"

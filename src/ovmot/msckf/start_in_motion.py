@@ -18,6 +18,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
 from ovmot.imu_buffer import integrated_rotation
 from ovmot.msckf.propagation import Propagation, integrate_rk4, propagate_imu
+from ovmot.msckf.start_at_rest import MAX_GRAVITY_ERROR
 from ovmot.msckf.start_bodies import PIXEL_SIGMA, plane_sigma, space_filled
 from ovmot.msckf.state import ACCEL_BIAS, GYRO_BIAS, N_IMU, POSITION, THETA, ImuState
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
@@ -25,7 +26,6 @@ from ovmot.types import FrontendFrame, ImuData, ImuNoise
 _GYRO_BIAS_SIGMA = 0.05  # rad/s, prior
 _ROTATION_SIGMA = 0.01  # rad, of the gyro's rotation between two frames, bias unknown
 _MIN_STEP_SIGMA = 0.003  # m, per frame
-_MAX_GRAVITY_ERROR = 1.5  # m/s², of the free solution
 _MAX_BODIES = 3
 _MAX_MISFIT = 2.0  # standard deviations, root mean square
 _INFLATION = 2.0  # on the path's standard deviations: its errors are not independent
@@ -114,10 +114,10 @@ def fit_path(
     by_bias = np.array([x.transition[POSITION, ACCEL_BIAS] for x in pieces])
     p, sigma = path.T_start_imu[1:, :3, 3], path.sigma[1:]
     free = _solve_free(p - alpha, t, sigma)
-    if abs(np.linalg.norm(free) - prior.gravity) > _MAX_GRAVITY_ERROR:
+    if abs(np.linalg.norm(free) - prior.gravity) > MAX_GRAVITY_ERROR:
         raise CannotStart(
             f"gravity from stereo motion and IMU is {np.linalg.norm(free):.2f} m/s²"
-            f" (within {_MAX_GRAVITY_ERROR:g} of {prior.gravity:g})"
+            f" (within {MAX_GRAVITY_ERROR:g} of {prior.gravity:g})"
         )
     fit = _solve_with_gravity(p - alpha, by_bias, t, sigma, free, prior)
     if fit.misfit > _MAX_MISFIT:
