@@ -91,3 +91,10 @@ def test_a_dead_axis_is_wrong() -> None:
     findings = check_imu_saturation(ImuData(imu.timestamp_ns, gyro, imu.accel))
     assert findings[0].severity is Severity.WRONG
     assert "never changes" in findings[0].says
+
+
+def test_a_hole_of_years_costs_no_memory() -> None:
+    imu = drive()
+    far = imu.timestamp_ns + np.where(np.arange(len(imu)) > 1000, 1_500_000_000_000_000_000, 0)
+    found = check_accel_unit(ImuData(far, imu.gyro, imu.accel))
+    assert found.severity == Severity.FINE

@@ -43,7 +43,8 @@ def _accel_remedy(norm: float) -> str:
 def quiet_force(imu: ImuData) -> float:
     """Norm of the mean specific force, m/s², over the second in which it varies least."""
     seconds = 1e-9 * (imu.timestamp_ns - imu.timestamp_ns[0])
-    spans = (seconds // _QUIET_S).astype(np.int64)
+    # numbered anew: a hole of years would make as many empty seconds
+    _, spans = np.unique(seconds // _QUIET_S, return_inverse=True)
     count = np.bincount(spans)
     mean, square = (
         np.stack([np.bincount(spans, x) for x in values.T], axis=1) / np.maximum(count, 1)[:, None]
