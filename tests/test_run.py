@@ -3,6 +3,7 @@
 import json
 import re
 import threading
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -138,6 +139,27 @@ def test_given_poses_of_a_tum_file(painted_euroc: Path, tmp_path: Path) -> None:
     rows = (tmp_path / "out" / "trajectory.tum").read_text().splitlines()
     assert len([r for r in rows if not r.startswith("#")]) == 12
     np.testing.assert_allclose(np.loadtxt(rows)[:, 1:], [[1, 2, 3, 0, 0, 0, 1]] * 12, atol=1e-9)
+
+
+def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
+    counts = Counter(
+        frames_degraded=7, frames_lost=2, resets=1, stereo_matches=100, stereo_matches_refused=60
+    )
+    told = run_module._warnings(Counter(), RunOptions(tmp_path), counts)
+    assert list(told.values()) == [9, 1, 60]
+    texts = " ".join(told)
+    for part in ("rests on the IMU alone", "may jump", "of 100 stereo matches", "ovmot doctor"):
+        assert part in texts
+    fine = Counter(stereo_matches=100, stereo_matches_refused=40)
+    assert not run_module._warnings(Counter(), RunOptions(tmp_path), fine)
+
+
+def test_refused_stereo_matches_are_counted(painted_euroc: Path, tmp_path: Path) -> None:
+    told = run(painted_euroc, tmp_path / "out", save_points=True)
+    rows = (tmp_path / "out" / "stereo.csv").read_text().splitlines()[1:]
+    assert told["counts"]["stereo_matches"] == len(rows)
+    refused = sum(row.endswith(",0") for row in rows)
+    assert told["counts"]["stereo_matches_refused"] == refused
 
 
 def test_frames_without_a_pose_are_left_out_and_counted(

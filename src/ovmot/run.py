@@ -30,6 +30,7 @@ from ovmot.sim.features import FeatureRecording
 from ovmot.types import Event, ImuNoise, ImuSample
 
 _SAY_EVERY_NS = 1_000_000_000
+_MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +222,16 @@ def _warnings(noticed: Counter[str], options: RunOptions, counts: Counter[str]) 
         warnings[text] += counts["frames_without_pose"]
     if counts["frames_before_start"]:
         warnings["frames before the start, without a pose"] += counts["frames_before_start"]
+    unsure = counts["frames_degraded"] + counts["frames_lost"]
+    if unsure:
+        warnings["frames whose pose rests on the IMU alone (`health` in state.csv)"] += unsure
+    if counts["resets"]:
+        text = "new starts because the motion was lost: the position may jump there"
+        warnings[text] += counts["resets"]
+    refused, tested = counts["stereo_matches_refused"], counts["stereo_matches"]
+    if refused > _MOST_REFUSED * tested:
+        text = f"of {tested} stereo matches, refused by the extrinsics: try 'ovmot doctor'"
+        warnings[text] += refused
     return warnings
 
 
@@ -302,6 +313,8 @@ def _feed_all(
             counts["imu_samples_read"] += 1
         for result in pipeline.feed(event):
             writer.write(result)
+            counts["stereo_matches"] += len(result.matches.accepted)
+            counts["stereo_matches_refused"] += int(np.count_nonzero(~result.matches.accepted))
 
 
 def _saying(
