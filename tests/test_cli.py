@@ -142,6 +142,16 @@ def test_a_broken_imu_row(ovmot_command: Command, painted_euroc: Path, tmp_path:
     assert f"{path}, row 51: 'abc' is not a number" in outcome.complaint
 
 
+def test_what_files_hold_does_not_steer_the_terminal(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path
+) -> None:
+    rows = painted_euroc / "mav0" / "imu0" / "data.csv"
+    rows.write_text(rows.read_text() + "\x1b]0;title\x07,1,2,3,4,5,6\n")
+    outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert "'?]0;title?' is not a stamp" in outcome.err
+
+
 def test_an_existing_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:
     arguments = ("run", painted_euroc, "-o", tmp_path / "out", *FAST)
     assert ovmot_command(*arguments).code == 0

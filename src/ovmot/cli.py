@@ -72,6 +72,9 @@ def main() -> None:
     except OSError as error:  # a folder that may not be read
         _say(f"ovmot: {error}")
         sys.exit(EXIT_BAD_INPUT)
+    except MemoryError:
+        _say("ovmot: out of memory: give a shorter or smaller sequence")
+        sys.exit(EXIT_FAILED)
 
 
 @app.callback(invoke_without_command=True)
@@ -461,4 +464,5 @@ def _show(table: Table) -> None:
 
 
 def _say(line: str) -> None:
-    typer.echo(line, err=True)
+    """One line; what a file makes it say can not steer the terminal."""
+    typer.echo("".join(c if c.isprintable() else "?" for c in line), err=True)
