@@ -245,6 +245,19 @@ def test_imu_values_that_no_sensor_gives(euroc: Path) -> None:
         open_sequence(euroc)
 
 
+def test_spikes_and_a_dead_gyroscope_are_said(euroc: Path) -> None:
+    rows = imu_file(euroc).read_text().splitlines()
+    for i in (50, 60):
+        rows[i] = rows[i].rpartition(",")[0] + ",1e4"
+    imu_file(euroc).write_text("\n".join(rows))
+    spiked = open_sequence(euroc)
+    assert spiked.counts["imu_beyond_range"] == 2
+    assert any("2 rows, the first is row 51, beyond" in text for text in spiked.warnings)
+    still = [f"{row.split(',')[0]},0,0,0,0,0,9.8" for row in rows[1:]]
+    imu_file(euroc).write_text("\n".join(still))
+    assert "the gyroscope is 0 throughout" in open_sequence(euroc).warnings[0]
+
+
 def test_no_imu_is_said(euroc: Path) -> None:
     shutil.rmtree(euroc / "mav0" / "imu0")
     sequence = open_sequence(euroc)

@@ -10,6 +10,9 @@ from ovmot.formats import StampedTable, ns_to_seconds
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
+FASTEST_RPS = 35.0
+"""2000 °/s, the widest range of common gyroscopes."""
+_HARDEST_MPS2 = 400.0  # 40 g, beyond the range of common accelerometers
 _ACCEL_RANGE = (5.0, 15.0)
 _MOST = 1e6  # rad/s or m/s², and raw counts of 20 bits: beyond any sensor
 _LEAST_INTERVAL_NS = 10_000
@@ -41,6 +44,7 @@ def checked_imu(
     _refuse_absurd(imu, table.row[fresh], table.path)
     _note_gaps(imu, table, max_gap_s, findings)
     _note_units(imu, table, findings)
+    _note_outliers(imu, table.row[fresh], table.path, findings)
     return imu
 
 
@@ -69,15 +73,29 @@ def _note_gaps(imu: ImuData, table: StampedTable, max_gap_s: float, findings: Fi
 
 
 def _note_units(imu: ImuData, table: StampedTable, findings: Findings) -> None:
-    mean = float(np.linalg.norm(imu.accel, axis=1).mean())
+    usual = float(np.median(np.linalg.norm(imu.accel, axis=1)))
     low, high = _ACCEL_RANGE
-    if not low <= mean <= high:
+    if not low <= usual <= high:
         unit = "the unit may be g; convert to m/s²"
-        if mean <= 0.5:
+        if usual <= 0.5:
             unit = "gravity may have been taken off; write what the sensor measured"
-        elif mean >= 1.5:
+        elif usual >= 1.5:
             unit = "the values may be raw counts; convert to m/s²"
-        text = (
-            f"{table.path}: mean acceleration {mean:.3g} m/s², where gravity alone is 9.81: {unit}"
-        )
+        measured = f"{table.path}: median acceleration {usual:.3g} m/s²"
+        text = f"{measured}, where gravity alone is 9.81: {unit}"
         findings.note("imu_units", 1, text)
+
+
+def _note_outliers(imu: ImuData, row: IntArray, path: Path | str, findings: Findings) -> None:
+    if not np.any(imu.gyro):
+        findings.note("imu_dead", 1, f"{path}: the gyroscope is 0 throughout; check the columns")
+    if "imu_units" in findings.counts:
+        return  # said already, of all rows
+    beyond = np.abs(imu.gyro).max(axis=1) > FASTEST_RPS
+    beyond |= np.abs(imu.accel).max(axis=1) > _HARDEST_MPS2
+    first = int(row[int(np.argmax(beyond))])
+    text = (
+        f"{path}: {np.count_nonzero(beyond)} rows, the first is row {first}, beyond common sensors"
+        f" ({FASTEST_RPS:g} rad/s, {_HARDEST_MPS2:g} m/s²): spikes, or other units"
+    )
+    findings.note("imu_beyond_range", int(np.count_nonzero(beyond)), text)

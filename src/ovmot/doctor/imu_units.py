@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ovmot.datasets.imu import FASTEST_RPS
 from ovmot.doctor.report import Finding, Severity
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.types import ImuData
@@ -10,7 +11,6 @@ _GRAVITY = 9.81
 _STANDARD_GRAVITY = 9.80665
 _QUIET_S = 1.0
 _NEAR, _FAR = 0.4, 4.0  # m/s² off gravity: a bias and a climb, and what no motion averages to
-_FASTEST_RPS = 35.0  # 2000 °/s, the widest range of common gyroscopes
 _STEEP_DEG = 45.0
 _FLAT_TOP = 3  # samples in a row at exactly the same extreme
 _LARGE = (1.0, 15.0)  # rad/s, m/s²: a small value that repeats is the resolution, not the range
@@ -60,7 +60,7 @@ def check_gyro_range(imu: ImuData) -> Finding:
     """Whether the rates are possible at all; `time_offset` compares them with the images."""
     fastest = float(np.abs(imu.gyro).max())
     says = f"the gyroscope reads up to {fastest:.3g} rad/s ({np.degrees(fastest):.0f} °/s)"
-    if fastest > _FASTEST_RPS:
+    if fastest > FASTEST_RPS:
         remedy = "the unit is °/s: multiply the IMU file's rates by π/180"
         return Finding("gyroscope range", Severity.WRONG, says, remedy)
     return Finding("gyroscope range", Severity.FINE, says)
