@@ -154,6 +154,20 @@ def test_outputs_already_open_are_closed_when_one_can_not_start(
     assert first.closed
 
 
+@pytest.mark.parametrize("force", [True, False])
+def test_a_refused_output_leaves_the_folder_as_it_was(
+    tmp_path: Path, rig: StereoRig, force: bool
+) -> None:
+    def refuse(context: run_writer.RunContext) -> Recorder:
+        raise InputError("this bag is there already")
+
+    if force:
+        (tmp_path / "state.csv").write_text("an older run")
+    with pytest.raises(InputError, match="this bag"):
+        open_outputs(tmp_path, rig=rig, force=force, more=(refuse,))
+    assert names(tmp_path) == ({"state.csv"} if force else set())
+
+
 def test_two_runs_give_the_same_bytes(tmp_path: Path, rig: StereoRig, make_result: Maker) -> None:
     for name in ("a", "b"):
         with open_outputs(

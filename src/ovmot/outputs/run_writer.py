@@ -1,6 +1,7 @@
 """The folder of a run: which files it gets, and that they are all closed whatever happens."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -151,7 +152,7 @@ def open_outputs(
     `InputError` where the folder holds a run already (unless `force`, which removes that run's
     files and nothing else) or cannot be written into.
     """
-    prepare_folder(folder, force=force)
+    check_folder(folder, force=force)
     names = (
         *_ALWAYS,
         *(() if frame_number is None else _OBJECTS),
@@ -162,34 +163,50 @@ def open_outputs(
     context = RunContext(rig, tuple(stages), frame_number or {})
     opened: list[Output] = []
     try:
+        for make in more:  # first: where one is refused, the folder is as it was
+            opened.append(make(context))
+        prepare_folder(folder, force=force)
         for name in names:
             opened.append(OUTPUTS[name](folder / name, context))
-        for make in more:
-            opened.append(make(context))
     except BaseException:
         RunWriter(opened).close()
         raise
     return RunWriter(opened)
 
 
+def check_folder(folder: Path, *, force: bool) -> None:
+    """Raise `InputError` where `folder` is a file, or holds a run and `force` is not given."""
+    with _folder_errors(folder):
+        if folder.exists() and not folder.is_dir():
+            raise InputError.at(folder, "is a file", "give a folder with -o")
+        present = _files_of_a_run(folder)
+    if present and not force:
+        problem = f"holds a run already ({present[0].name})"
+        remedy = "choose another folder, or replace that run with --force"
+        raise InputError.at(folder, problem, remedy)
+
+
 def prepare_folder(folder: Path, *, force: bool) -> None:
     """Make `folder`, empty of a run's files; raises `InputError` (see `open_outputs`)."""
-    try:
+    check_folder(folder, force=force)
+    with _folder_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        present = [folder / name for name in _RUN_FILES if (folder / name).exists()]
-        if present and not force:
-            raise InputError.at(
-                folder,
-                f"holds a run already ({present[0].name})",
-                "choose another folder, or replace that run with --force",
-            )
-        for path in present:
+        for path in _files_of_a_run(folder):
             path.unlink()
-    except FileExistsError:
-        raise InputError.at(folder, "is a file", "give a folder with -o") from None
+
+
+@contextmanager
+def _folder_errors(folder: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise InputError.at(
             error.filename or folder,
             f"cannot prepare the output folder: {error.strerror}",
             "choose another folder with -o",
         ) from None
+
+
+def _files_of_a_run(folder: Path) -> list[Path]:
+    paths = (folder / name for name in _RUN_FILES)
+    return [path for path in paths if path.is_symlink() or path.exists()]
