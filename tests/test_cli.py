@@ -8,14 +8,16 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import ovmot
+from ovmot import cli
 from ovmot.config import describe_settings
-from ovmot.errors import OvmotError
+from ovmot.errors import InputError, OvmotError
 from ovmot.formats import ns_to_seconds
 from ovmot.msckf import correction
 from ovmot.outputs.run_writer import RunWriter
@@ -152,6 +154,16 @@ def test_what_files_hold_does_not_steer_the_terminal(
     assert "'?]0;title?' is not a stamp" in outcome.err
 
 
+@pytest.mark.parametrize("name", ["drive", "drive/drive.db3"])
+def test_the_bag_that_is_read_is_not_written_over(tmp_path: Path, name: str) -> None:
+    (tmp_path / "drive").mkdir()
+    read: Any = SimpleNamespace(kind="bag", root=tmp_path / "drive")
+    with pytest.raises(InputError, match="is the bag that is read"):
+        cli._bag_output(tmp_path / name, read, False, True)
+    folder: Any = SimpleNamespace(kind="euroc", root=tmp_path / "drive")
+    cli._bag_output(tmp_path / name, folder, False, True)  # no complaint
+
+
 def test_an_existing_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:
     arguments = ("run", painted_euroc, "-o", tmp_path / "out", *FAST)
     assert ovmot_command(*arguments).code == 0
@@ -233,3 +245,31 @@ def test_a_signal_to_the_real_process(
     assert "Traceback" not in err
     assert whole_rows(state) >= 2
     assert json.loads((out / "run.json").read_text())["ended"] == "interrupted"
+
+
+def test_an_interruption_while_the_command_line_loads() -> None:
+    code = (
+        "import sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'ovmot.cli': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from ovmot.__main__ import main; main()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "")
+
+
+@pytest.mark.parametrize("command", [["run", "-o", "out"], ["doctor"]])
+def test_an_interruption_while_the_data_is_listed(
+    ovmot_command: Command,
+    painted_euroc: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: list[str],
+) -> None:
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "open_recording", stop)
+    outcome = ovmot_command(*command, painted_euroc)
+    assert (outcome.code, outcome.err) == (130, "ovmot: interrupted; nothing was written\n")

@@ -143,12 +143,19 @@ def test_given_poses_of_a_tum_file(painted_euroc: Path, tmp_path: Path) -> None:
 
 def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
     counts = Counter(
-        frames_degraded=7, frames_lost=2, resets=1, stereo_matches=100, stereo_matches_refused=60
-    )
+        frames_never_covered_by_imu=3, frames_degraded=7, frames_lost=2, resets=1,
+        stereo_matches=100, stereo_matches_refused=60,
+    )  # fmt: skip
     told = run_module._warnings(Counter(), RunOptions(tmp_path), counts)
-    assert list(told.values()) == [9, 1, 60]
+    assert list(told.values()) == [3, 9, 1, 60]
     texts = " ".join(told)
-    for part in ("rests on the IMU alone", "may jump", "of 100 stereo matches", "ovmot doctor"):
+    for part in (
+        "never covered",
+        "rests on the IMU alone",
+        "may jump",
+        "of 100 stereo matches",
+        "ovmot doctor",
+    ):
         assert part in texts
     fine = Counter(stereo_matches=100, stereo_matches_refused=40)
     assert not run_module._warnings(Counter(), RunOptions(tmp_path), fine)

@@ -1,6 +1,18 @@
-"""`python -m ovmot`: the command line."""
+"""`ovmot`, and `python -m ovmot`: the command line, to be stopped while it still loads."""
 
-from ovmot.cli import main
+import sys
+
+EXIT_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Load the command line, which takes seconds, and run it."""
+    try:
+        from ovmot import cli
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
+    cli.main()
+
 
 if __name__ == "__main__":
     main()

@@ -32,6 +32,7 @@ from ovmot.batch.work import work
 from ovmot.config import describe_settings
 from ovmot.datasets.bag_topics import BagTopics
 from ovmot.datasets.registry import READERS, open_recording
+from ovmot.datasets.sequence import RecordedSequence
 from ovmot.doctor.examine import examine, sampled_frames
 from ovmot.doctor.report import report_table, write_report
 from ovmot.errors import InputError, OvmotError
@@ -48,6 +49,7 @@ from ovmot.sim.writers import WRITERS
 
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 _WIDE = 160
+_NOTHING_WRITTEN = "nothing was written"
 
 app = typer.Typer(
     name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -153,18 +155,19 @@ def run(
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
     given = load_run_config(config, overrides)
     settings = given.settings
-    recorded = open_recording(
-        data,
-        format,
-        sequence,
-        calibration or given.calibration,
-        settings.imu.max_gap_s,
-        BagTopics(left, right, imu),
-    )
+    with _interruptible(_NOTHING_WRITTEN):
+        recorded = open_recording(
+            data,
+            format,
+            sequence,
+            calibration or given.calibration,
+            settings.imu.max_gap_s,
+            BagTopics(left, right, imu),
+        )
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
         _say(f"ovmot: warning: {warning}")
-    more = () if bag is None else (_bag_output(bag, video, force),)
+    more = () if bag is None else (_bag_output(bag, recorded, video, force),)
     options = RunOptions(
         out, _ego_poses(ego), save_points, video, force, first, last, masks, more, given.mask_files
     )
@@ -237,7 +240,8 @@ def evaluate(
     plots: Annotated[bool, typer.Option(help="Draw plots beside metrics.json.")] = True,
 ) -> None:
     """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
-    evaluation = evaluate_run(run, truth)
+    with _interruptible(_NOTHING_WRITTEN):
+        evaluation = evaluate_run(run, truth)
     write_metrics(run, evaluation)
     if plots:
         write_plots(run, evaluation)
@@ -309,11 +313,12 @@ def doctor(
 ) -> None:
     """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if anything is."""
     prepare_process()
-    recorded = open_recording(
-        data, format, sequence, calibration, topics=BagTopics(left, right, imu)
-    )
+    with _interruptible(_NOTHING_WRITTEN):
+        recorded = open_recording(
+            data, format, sequence, calibration, topics=BagTopics(left, right, imu)
+        )
     with (
-        _interruptible("nothing was written"),
+        _interruptible(_NOTHING_WRITTEN),
         _progress("doctor", sampled_frames(recorded)) as advance,
     ):
         report = examine(recorded, advance, calibration)
@@ -387,7 +392,12 @@ def settings() -> None:
     console.print(table)
 
 
-def _bag_output(path: Path, video: bool, force: bool) -> Callable[[RunContext], Output]:
+def _bag_output(
+    path: Path, recorded: RecordedSequence, video: bool, force: bool
+) -> Callable[[RunContext], Output]:
+    read, written = recorded.root.resolve(), path.resolve()
+    if recorded.kind == "bag" and read in (written, *written.parents):
+        raise InputError.at(path, "is the bag that is read", "choose another name with --bag")
     return lambda context: BagOutput(path, context.rig, overlay=video, replace=force)
 
 

@@ -222,6 +222,9 @@ def _warnings(noticed: Counter[str], options: RunOptions, counts: Counter[str]) 
         warnings[text] += counts["frames_without_pose"]
     if counts["frames_before_start"]:
         warnings["frames before the start, without a pose"] += counts["frames_before_start"]
+    if counts["frames_never_covered_by_imu"]:
+        text = "frames that the IMU never covered: without a pose"
+        warnings[text] += counts["frames_never_covered_by_imu"]
     unsure = counts["frames_degraded"] + counts["frames_lost"]
     if unsure:
         warnings["frames whose pose rests on the IMU alone (`health` in state.csv)"] += unsure
