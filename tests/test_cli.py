@@ -256,7 +256,8 @@ def test_an_interruption_while_the_command_line_loads() -> None:
         "sys.meta_path.insert(0, Stop())\n"
         "from ovmot.__main__ import main; main()"
     )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    command = [sys.executable, "-c", code]
+    ended = subprocess.run(command, check=False, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (130, "")
 
 

@@ -144,10 +144,10 @@ def test_given_poses_of_a_tum_file(painted_euroc: Path, tmp_path: Path) -> None:
 def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
     counts = Counter(
         frames_never_covered_by_imu=3, frames_degraded=7, frames_lost=2, resets=1,
-        stereo_matches=100, stereo_matches_refused=60,
+        stereo_matches=100, stereo_matches_refused=60, frames_without_stereo=4,
     )  # fmt: skip
-    told = run_module._warnings(Counter(), RunOptions(tmp_path), counts)
-    assert list(told.values()) == [3, 9, 1, 60]
+    told = run_module._warnings(Counter(), RunOptions(tmp_path), SETTINGS, counts)
+    assert list(told.values()) == [3, 9, 1, 60, 4]
     texts = " ".join(told)
     for part in (
         "never covered",
@@ -158,7 +158,18 @@ def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
     ):
         assert part in texts
     fine = Counter(stereo_matches=100, stereo_matches_refused=40)
-    assert not run_module._warnings(Counter(), RunOptions(tmp_path), fine)
+    assert not run_module._warnings(Counter(), RunOptions(tmp_path), SETTINGS, fine)
+
+
+def test_a_dark_right_camera_is_said(painted_euroc: Path, tmp_path: Path) -> None:
+    for path in (painted_euroc / "mav0" / "cam1" / "data").iterdir():
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert picture is not None
+        cv2.imwrite(str(path), np.zeros_like(picture))
+    told = run(painted_euroc, tmp_path / "out")
+    written = told["counts"]["frames_written"]
+    assert written > 0
+    assert told["counts"]["frames_without_stereo"] == written
 
 
 def test_refused_stereo_matches_are_counted(painted_euroc: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.parts import FrontEnd, Start
 from ovmot.pipeline import STAGES, Pipeline
 from ovmot.sim.features import FeatureRecording
-from ovmot.types import Event, ImuNoise, ImuSample
+from ovmot.types import Event, ImuNoise, ImuSample, StereoFrame
 
 _SAY_EVERY_NS = 1_000_000_000
 _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
@@ -200,7 +200,7 @@ def _run(
             imu_noise=source.imu_noise,
             source=source.identity,
             counts=counts,
-            warnings=_warnings(source.warnings, options, counts),
+            warnings=_warnings(source.warnings, options, settings, counts),
             not_started_because=pipeline.not_started_because,
             ended=ended,
             wall_seconds=time.perf_counter() - began,
@@ -214,7 +214,9 @@ def _run(
     return summary
 
 
-def _warnings(noticed: Counter[str], options: RunOptions, counts: Counter[str]) -> Counter[str]:
+def _warnings(
+    noticed: Counter[str], options: RunOptions, settings: Settings, counts: Counter[str]
+) -> Counter[str]:
     """What the reader noticed, and what happened to frames on the way."""
     warnings = Counter(noticed)
     if counts["frames_without_pose"]:
@@ -233,8 +235,11 @@ def _warnings(noticed: Counter[str], options: RunOptions, counts: Counter[str]) 
         warnings[text] += counts["resets"]
     refused, tested = counts["stereo_matches_refused"], counts["stereo_matches"]
     if refused > _MOST_REFUSED * tested:
-        text = f"of {tested} stereo matches, refused by the extrinsics: try 'ovmot doctor'"
+        text = f"stereo matches refused by the extrinsics, of {tested}: try 'ovmot doctor'"
         warnings[text] += refused
+    if counts["frames_without_stereo"] and settings.tracker.cameras == "stereo":
+        text = "frames without a stereo match: no scale from them, and nothing seen to move"
+        warnings[text] += counts["frames_without_stereo"]
     return warnings
 
 
@@ -318,6 +323,8 @@ def _feed_all(
             writer.write(result)
             counts["stereo_matches"] += len(result.matches.accepted)
             counts["stereo_matches_refused"] += int(np.count_nonzero(~result.matches.accepted))
+            if isinstance(result.frame, StereoFrame) and not result.matches.accepted.any():
+                counts["frames_without_stereo"] += 1
 
 
 def _saying(
