@@ -70,6 +70,7 @@ def test_a_plan_of_the_least(tmp_path: Path) -> None:
         ("  street:", "  data:", "'data' can not be the name of a folder"),
         ("  street:", "  mh01:", "found 'mh01' twice"),
         ("seeds: 3", "seeds: 0", "a number from 1 on"),
+        ("seeds: 3", "seeds: 1000000000000", "at most 100000 seeds"),
         ("seeds: 3", "seeds: [1, 1]", "different seeds"),
         ("seeds: 3", "seed: 3", "unknown key 'seed'"),
         ("n_features: 100", "calibration_error: {rotation: 1}", "calibration_error.rotation'"),

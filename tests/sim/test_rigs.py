@@ -33,6 +33,11 @@ def test_another_aspect_ratio_is_refused(size: tuple[int, int]) -> None:
         resized(street_rig(), size)
 
 
+def test_a_size_that_no_memory_holds_is_refused() -> None:
+    with pytest.raises(InputError, match="size 64000x28000: choose at most 8192 pixels a side"):
+        resized(street_rig(), (64_000, 28_000))
+
+
 def test_the_fisheye_sees_150_degrees() -> None:
     for camera in fisheye_rig().cameras:
         ends = camera.normalize(np.array([[0.0, 256.0], [511.0, 256.0]]))

@@ -23,6 +23,7 @@ from ovmot.sim.miscalibration import CalibrationError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _RESERVED = ("data",)
+_MOST_SEEDS = 100_000
 
 
 class Recorded(Section):
@@ -127,6 +128,8 @@ class Plan(Section):
     @field_validator("seeds")
     @classmethod
     def _good_seeds(cls, value: int | tuple[int, ...]) -> int | tuple[int, ...]:
+        if (value if isinstance(value, int) else len(value)) > _MOST_SEEDS:
+            raise ValueError(f"at most {_MOST_SEEDS} seeds")
         listed = (value - 1,) if isinstance(value, int) else value
         if not listed or min(listed) < 0 or len(set(listed)) != len(listed):
             raise ValueError("a number from 1 on, or a list of different seeds from 0 on")

@@ -13,6 +13,7 @@ from ovmot.sim.scene_file import RigName
 
 R_AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """R_imu_cam of a level camera that looks along x of an IMU whose z axis is up."""
+_MOST_PIXELS = 8192
 _ASPECT_TOLERANCE = 1e-6
 
 
@@ -60,9 +61,11 @@ def resized(rig: StereoRig, size: tuple[int, int]) -> StereoRig:
 
     Integer coordinates are the middles of pixels, so the scale s acts about the picture's corner
     at (-0.5, -0.5): fx' = s fx, cx' = s (cx + 0.5) - 0.5. Raises `InputError` for a size of
-    another aspect ratio or without pixels.
+    another aspect ratio, without pixels, or too large to be rendered.
     """
     width, height = size
+    if max(size) > _MOST_PIXELS:
+        raise InputError(f"size {width}x{height}: choose at most {_MOST_PIXELS} pixels a side")
     cam0 = rig.cam0
     if min(width, height) < 1 or not np.isclose(
         width * cam0.height, height * cam0.width, rtol=_ASPECT_TOLERANCE, atol=0.0
