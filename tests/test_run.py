@@ -153,7 +153,7 @@ def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
         "never covered",
         "rests on the IMU alone",
         "may jump",
-        "of 100 stereo matches",
+        "by the extrinsics, of 100",
         "ovmot doctor",
     ):
         assert part in texts

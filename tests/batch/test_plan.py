@@ -79,7 +79,7 @@ def test_a_plan_of_the_least(tmp_path: Path) -> None:
         ("split.enabled: false", "split.enabled: 7", "settings no_split: 'split.enabled'"),
         ("sequences:", "sequences: !!python/object:os.system", "not valid YAML"),
         (PLAN, "", "'sequences' is missing"),
-        (PLAN, "[]", "expected sections"),
+        (PLAN, "[]", "holds no keys"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -94,7 +94,7 @@ def test_a_mistake_is_one_line(tmp_path: Path, old: str, new: str, message: str)
 
 
 def test_a_missing_plan(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere.yaml: cannot read"):
+    with pytest.raises(InputError, match=r"nowhere.yaml: no such file"):
         read_plan(tmp_path / "nowhere.yaml")
 
 

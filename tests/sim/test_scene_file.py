@@ -61,7 +61,7 @@ def test_every_key_has_a_help_text() -> None:
         ("duration_s: 3\nacross: [{at_m: .inf}]\n", ["'across.0.at_m'", "finite"]),
         ("duration_s: 3\nstreet: {crossing: [9, 3]}\n", ["'street.crossing'", "smaller"]),
         ("duration_s: [\n", ["not valid YAML"]),
-        ("- 3\n", ["expected sections of keys"]),
+        ("- 3\n", ["holds no keys"]),
     ],
 )
 def test_a_mistake_is_one_line_naming_file_and_key(
