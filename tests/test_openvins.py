@@ -169,6 +169,7 @@ def test_our_own_settings_stay_ours(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("max_clones: 1", "max_clones: 991", r"\(OpenVINS\): 'filter.max_clones'"),
+        ("use_stereo: true", 'use_stereo: "false"', "'use_stereo': 'false' is neither true nor f"),
         (
             'feat_rep_slam: "',
             'feat_rep_slam: "NEW_',

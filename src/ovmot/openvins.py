@@ -78,6 +78,7 @@ _JOINT = {
     "init_window_time", "zupt_max_disparity", "use_mask", "mask0", "mask1",
     "relative_config_imu", "relative_config_imucam",
 }  # fmt: skip
+_YES_OR_NO = {"use_stereo", "use_rk4int", "use_imuavg", "init_dyn_use", "use_mask"}
 _MARKS = PLAIN.keys() | WORDS.keys() | ALWAYS.keys() | _JOINT
 
 _CAMERA_KEYS = {
@@ -136,6 +137,10 @@ def translate(
 
     `rig` gives the image size for the grid. Raises `InputError` for a word that is not known.
     """
+    for key in sorted(_YES_OR_NO & data.keys()):
+        if data[key] not in (True, False):  # any text would be true, be it "false"
+            problem = f"'{key}': '{data[key]}' is neither true nor false"
+            raise InputError.at(path, problem, "write it without quotation marks")
     flat: dict[str, Any] = {}
     used: set[str] = {"relative_config_imu", "relative_config_imucam", "use_mask"}
     for key, place in PLAIN.items():
