@@ -1,4 +1,5 @@
 import csv
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -166,3 +167,10 @@ def test_state_ends_with_segment_and_health(
     header, row = (tmp_path / "state.csv").read_text().splitlines()
     assert header.endswith(",segment,health")
     assert row.endswith(",2,degraded")
+
+
+@pytest.mark.parametrize("table", [StateTable, TracksTable, PointsTable, StereoTable])
+def test_every_column_is_explained_in_the_docs(table: type[StateTable]) -> None:
+    docs = Path(__file__).resolve().parents[2] / "docs" / "outputs.md"
+    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", docs.read_text()))))
+    assert set(table.columns.split(",")) <= explained
