@@ -62,6 +62,8 @@ def test_an_override_takes_numbers_with_exponents_and_none() -> None:
         ("tracker: {max_features: many}\n", ["'tracker.max_features'", "'many'"]),
         ("tracker: {max_features: 2}\n", ["'tracker.max_features'", "20", "got 2"]),
         ("tracker: {klt_levels: true}\n", ["'tracker.klt_levels'", "True"]),
+        ("imu: {gyro_noise: 1.0e+9}\n", ["'imu.gyro_noise'", "less than 100"]),
+        ("imu: {fallback: [1, 1, 0, 1]}\n", ["'imu.fallback'", "greater than 0"]),
         ("tracker: 7\n", ["'tracker'", "got 7"]),
         ("epipolar: {scale: fx}\n", ["'epipolar.scale'", "'angle'", "'fy'"]),
         ("epipolar: {threshold_px: .nan}\n", ["'epipolar.threshold_px'", "nan"]),

@@ -148,18 +148,25 @@ class MaskSettings(Section):
 class ImuSettings(Section):
     """Noise of the IMU; densities left out are the data's, else those of `fallback`."""
 
-    gyro_noise: float | None = Field(None, gt=0.0)
+    gyro_noise: float | None = Field(None, gt=0.0, lt=100.0)
     """Gyroscope white noise density, rad/s/sqrt(Hz)."""
-    gyro_walk: float | None = Field(None, gt=0.0)
+    gyro_walk: float | None = Field(None, gt=0.0, lt=100.0)
     """Gyroscope bias random walk, rad/s^2/sqrt(Hz)."""
-    accel_noise: float | None = Field(None, gt=0.0)
+    accel_noise: float | None = Field(None, gt=0.0, lt=100.0)
     """Accelerometer white noise density, m/s^2/sqrt(Hz)."""
-    accel_walk: float | None = Field(None, gt=0.0)
+    accel_walk: float | None = Field(None, gt=0.0, lt=100.0)
     """Accelerometer bias random walk, m/s^3/sqrt(Hz)."""
     fallback: tuple[float, float, float, float] = (1.7e-4, 2e-5, 2e-3, 3e-4)
     """Gyro noise and walk, accel noise and walk of an unknown unit, in the units above."""
     max_gap_s: float = Field(0.1, gt=0.0)
     """A hole in the IMU stream longer than this is reported, and trusted as little as it should."""
+
+    @field_validator("fallback")
+    @classmethod
+    def _densities(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(0.0 < density < 100.0 for density in value):
+            raise ValueError("each must be greater than 0 and less than 100")
+        return value
 
 
 class InitializationSettings(Section):

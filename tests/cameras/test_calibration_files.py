@@ -100,6 +100,8 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("458.6", "0.0", "not positive"),
         ("model: radtan", "model: fov", "'cam0.distortion_model': unknown lens model 'fov'"),
         ("[-0.1, 0.01, 1.0e-3, 2e-4]", "[-0.1, 0.01]", "'cam0.distortion_coeffs': .*takes 4 or 5"),
+        ("resolution: [752, 480]\n  timeshift", f"resolution: [{'9' * 25}, 480]\n  timeshift",
+         "impossible camera: 1[0-9]+x480 pixels"),
         ("resolution: [752, 480]\n  timeshift", "resolution: [0, 480]\n  timeshift", "no image is"),
         ("[-1.0, 0.0, 0.0, 0.05]", "[-1.0, 0.5, 0.0, 0.05]", "'cam0.T_imu_cam': .*not a rotation"),
         ("[-1.0, 0.0, 0.0, 0.05]", "[1.0, 0.0, 0.0, 0.05]", "not a rotation"),

@@ -11,7 +11,10 @@ import pytest
 
 from ovmot.cameras.calibration import Calibration
 from ovmot.datasets import open_sequence
+from ovmot.datasets.findings import Findings
+from ovmot.datasets.imu import checked_imu
 from ovmot.errors import CalibrationError, DatasetError, InputError
+from ovmot.formats import StampedTable
 
 Edit = Callable[[Path, str, str], None]
 FIRST_NS = 1_403_636_580_000_000_555
@@ -243,6 +246,14 @@ def test_imu_values_that_no_sensor_gives(euroc: Path) -> None:
     imu_file(euroc).write_text("\n".join(rows))
     with pytest.raises(DatasetError, match=r"data\.csv, row 51: .*no sensor measures; correct or"):
         open_sequence(euroc)
+
+
+def test_a_message_without_a_number_is_refused() -> None:
+    """Files are refused where they are read; messages of a bag hold any number."""
+    values = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, z] for z in (9.8, np.nan, 9.8)])
+    table = StampedTable("x.bag, topic /imu", np.arange(3) * 10_000_000, values, np.arange(3) + 1)
+    with pytest.raises(DatasetError, match=r"x\.bag, topic /imu, row 2: .*no sensor measures"):
+        checked_imu(table, 0, 3, 0.1, Findings())
 
 
 def test_spikes_and_a_dead_gyroscope_are_said(euroc: Path) -> None:

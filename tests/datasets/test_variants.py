@@ -233,9 +233,10 @@ def test_colours_and_ids_of_segmentation(painted_rig: StereoRig, tmp_path: Path)
     cv2.imwrite(str(tmp_path / "5.png"), picture[:100])
     with pytest.raises(InputError, match=r"5\.png: is 320x100, the camera 320x240"):
         masks.of(5)
-    (tmp_path / "rgb_ids.txt").write_text("id,r,g,b\n7,10,20,30\n8,10,20,310\n")
-    with pytest.raises(DatasetError, match=r"rgb_ids\.txt, row 3: no colour"):
-        read_colours(tmp_path / "rgb_ids.txt")
+    for row in ("8,10,20,310", "1e19,10,20,31"):
+        (tmp_path / "rgb_ids.txt").write_text(f"id,r,g,b\n7,10,20,30\n{row}\n")
+        with pytest.raises(DatasetError, match=r"rgb_ids\.txt, row 3: no colour"):
+            read_colours(tmp_path / "rgb_ids.txt")
 
 
 # ---- UZH-FPV
@@ -315,6 +316,8 @@ def test_four_seasons(four_seasons: Path) -> None:
         ("../calibration/undistorted_calib_stereo.txt", "1 0 0 -0.3", "2 0 0 -0.3", "no rigid 4x4"),
         ("Transformations.txt", "TS_cam_imu", "TS", "no row '# TS_cam_imu'"),
         ("Transformations.txt", "0.1,0.2,0.3,0,0,0,1", "0.1,0.2,0.3,0,0,0,2", "row 4: no trans"),
+        ("Transformations.txt", "0.1,0.2,0.3,0,0,0,1", "0.1,0.2,0.3,nan,0,0,1", "row 4: no trans"),
+        ("Transformations.txt", "0.1,0.2,0.3,0,0,0,1", "inf,0.2,0.3,0,0,0,1", "row 4: no trans"),
     ],
 )
 def test_broken_four_seasons_files(

@@ -8,6 +8,8 @@ from ovmot.cameras.lens import LENSES, Lens
 from ovmot.errors import CalibrationError
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
+_MOST_PIXELS = 65_535  # a side, as in JPEG
+
 
 @dataclass(frozen=True, slots=True)
 class Camera:
@@ -27,7 +29,8 @@ class Camera:
     def __post_init__(self) -> None:
         if self.intrinsics.shape != (5,) or not np.all(np.isfinite(self.intrinsics)):
             raise CalibrationError("camera intrinsics must be five finite numbers")
-        if self.width <= 0 or self.height <= 0 or min(self.fx, self.fy) <= 0.0:
+        sizes = self.width, self.height
+        if min(sizes) <= 0 or max(sizes) > _MOST_PIXELS or min(self.fx, self.fy) <= 0.0:
             raise CalibrationError(
                 f"impossible camera: {self.width}x{self.height} pixels,"
                 f" focal lengths {self.fx:g}, {self.fy:g}"

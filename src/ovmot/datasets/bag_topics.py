@@ -59,7 +59,8 @@ def _pair(
         options = " ".join(f"--{side} TOPIC" for side in missing)
         found = f"{len(cameras)} image topics" if cameras else "no image topics"
         known = f": {', '.join(cameras)}" if cameras else " (sensor_msgs/Image or CompressedImage)"
-        remedy = f"choose with {options}" if cameras else "two cameras are needed"
+        enough = len(others) > len(missing)
+        remedy = f"choose with {options}" if enough else "two cameras are needed"
         raise InputError.at(path, f"holds {found}{known}", remedy)
     chosen = dict(zip(missing, sorted(others), strict=True))
     return left or chosen["left"], right or chosen["right"]

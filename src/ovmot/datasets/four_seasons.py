@@ -142,7 +142,8 @@ def _cam_from_imu(transformations: Path, chain: Path) -> FloatArray:
         text = next((below for below in lines[row:] if below.strip()), "")
         try:
             values = np.array(text.split(","), dtype=np.float64)
-            if values.shape != (7,) or abs(np.linalg.norm(values[3:]) - 1.0) > 0.02:
+            unit = values.shape == (7,) and abs(np.linalg.norm(values[3:]) - 1.0) < 0.02
+            if not (unit and np.all(np.isfinite(values))):
                 raise ValueError
         except ValueError:
             problem = "no translation and unit quaternion x y z w below this row"

@@ -52,7 +52,8 @@ def _refuse_absurd(imu: ImuData, row: IntArray, path: Path | str) -> None:
     if len(imu) > 1 and np.median(np.diff(imu.timestamp_ns)) < _LEAST_INTERVAL_NS:
         problem = f"{len(imu)} samples within {np.ptp(imu.timestamp_ns)} ns"
         raise DatasetError.at(path, problem, "stamps are nanoseconds: convert them")
-    absurd = np.maximum(np.abs(imu.gyro), np.abs(imu.accel)).max(axis=1) > _MOST
+    # NaN is not below either: a bag may hold one
+    absurd = ~(np.maximum(np.abs(imu.gyro), np.abs(imu.accel)).max(axis=1) < _MOST)
     if np.any(absurd):
         problem = "holds a rate or an acceleration that no sensor measures"
         first = int(row[int(np.argmax(absurd))])

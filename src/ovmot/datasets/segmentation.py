@@ -18,6 +18,7 @@ from ovmot.errors import DatasetError, InputError
 from ovmot.formats import read_lines
 from ovmot.geometry.arrays import Image
 
+_MOST_ID = 2**31
 _COLOUR_COLUMNS = ("id", "r", "g", "b")
 
 
@@ -97,8 +98,9 @@ def find_segmentation(
 def read_colours(path: Path) -> dict[int, tuple[int, int, int]]:
     """Rows `id,r,g,b` of a table of colours; raises `DatasetError` naming the row."""
     lines = read_lines(path, DatasetError)
-    table = lines.parse(np.dtype(np.float64), len(_COLOUR_COLUMNS), ",").astype(np.int64)
+    table = lines.parse(np.dtype(np.float64), len(_COLOUR_COLUMNS), ",")
     wrong = np.any((table[:, 1:] < 0) | (table[:, 1:] > 255), axis=1)
+    wrong |= np.abs(table[:, 0]) > _MOST_ID
     if np.any(wrong):
         row = int(lines.row[int(np.argmax(wrong))])
         raise DatasetError.at(path, "no colour", "red, green, blue are 0 to 255", row=row)
