@@ -48,9 +48,9 @@ def test_other_encodings_and_missing_files_are_named(tmp_path: Path) -> None:
         ("a: !!timestamp zz\n", "a value cannot be read"),
         (f"a: {'9' * 5000}\n", "a value cannot be read"),
         ("a: " + "[" * 20_000, "nested too deeply"),
-        (_BOMB, "more than 200000 values"),
-        ("a: &a [*a, 1]\n", "more than 200000 values"),
-        ("#" * 4_000_001, "more than 4000000 characters"),
+        (_BOMB, "more than 100000 values"),
+        ("a: &a [*a, 1]\n", "more than 100000 values"),
+        ("#" * 500_001, "more than 500000 characters"),
     ],
 )
 def test_hostile_yaml_is_one_error(text: str, problem: str, tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import yaml
 
 from ovmot.errors import InputError
 
-_MOST_YAML_CHARACTERS = 4_000_000
-_MOST_YAML_VALUES = 200_000
+_MOST_YAML_CHARACTERS = 500_000
+_MOST_YAML_VALUES = 100_000
 
 
 def read_text(path: Path, error: type[InputError], missing: str = "no such file") -> str:

@@ -1,9 +1,15 @@
 """Stamps: rates, jitter, holes."""
 
 import numpy as np
+import pytest
 
 from ovmot.doctor.report import Finding, Severity
-from ovmot.doctor.timing import check_frame_times, check_imu_times, lost_in_holes
+from ovmot.doctor.timing import (
+    check_coverage,
+    check_frame_times,
+    check_imu_times,
+    lost_in_holes,
+)
 from ovmot.geometry.arrays import IntArray
 
 PERIOD_NS = 50_000_000
@@ -58,3 +64,13 @@ def test_imu_holes() -> None:
 
 def test_single_pair_is_no_error() -> None:
     assert severities(check_frame_times(stamps(1), {})) == {"frame rate": Severity.NOT_TOLD}
+
+
+@pytest.mark.parametrize(
+    ("outside", "severity"),
+    [(0, Severity.FINE), (2, Severity.FINE), (20, Severity.DOUBTFUL), (150, Severity.WRONG)],
+)
+def test_frames_that_the_imu_does_not_cover(outside: int, severity: Severity) -> None:
+    found = check_coverage(100, {"frames_outside_imu": outside})
+    assert found.severity is severity
+    assert f"100 of {100 + outside}" in found.says

@@ -18,7 +18,7 @@ from ovmot.doctor.places import Places, places_of
 from ovmot.doctor.report import Finding, Report, Severity, make_report
 from ovmot.doctor.stereo_geometry import check_stereo
 from ovmot.doctor.time_offset import check_gyro, compare_turns
-from ovmot.doctor.timing import check_frame_times, check_imu_times
+from ovmot.doctor.timing import check_coverage, check_frame_times, check_imu_times
 from ovmot.doctor.turns import Turns, turns_of
 from ovmot.types import ImuData
 
@@ -53,6 +53,7 @@ def examine(
         findings.append(Finding("IMU", Severity.NOT_TOLD, says, "run it with --ego poses FILE"))
     else:
         turns = turns_of(seen.stretches, rig)
+        findings.append(check_coverage(len(sequence), sequence.counts))
         findings += _of_imu(sequence.imu, turns, rig, sequence.counts, places)
     return make_report(sequence.name, sequence.kind, findings)
 

@@ -9,6 +9,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 
 _HOLE = 1.5  # an interval of more than so many periods lacks a sample
 _MANY = 0.03  # share of missing frames
+_MOSTLY_OUTSIDE = 0.5
 _LONGEST_HOLE_S = 0.5
 _JITTER = 0.1  # of a period
 _CAMERA_HZ, _IMU_HZ = 5.0, 80.0
@@ -47,6 +48,18 @@ def check_imu_times(imu_ns: IntArray, counts: Mapping[str, int], max_gap_s: floa
         _jitter("IMU jitter", steps_s, period_s),
         _imu_holes(steps_s, period_s, counts.get("imu_duplicates", 0), max_gap_s),
     ]
+
+
+def check_coverage(n_frames: int, counts: Mapping[str, int]) -> Finding:
+    """How many stereo pairs the reader dropped (`frames_outside_imu`) beside `n_frames` it kept."""
+    lost = counts.get("frames_outside_imu", 0)
+    share = lost / max(n_frames + lost, 1)
+    says = f"the IMU covers {n_frames} of {n_frames + lost} stereo pairs"
+    if share <= _MANY:  # recorders start and stop their sensors one by one
+        return Finding("IMU coverage", Severity.FINE, says)
+    remedy = "copy the whole IMU file, and check that both have one clock"
+    severity = Severity.WRONG if share >= _MOSTLY_OUTSIDE else Severity.DOUBTFUL
+    return Finding("IMU coverage", severity, says, remedy)
 
 
 def lost_in_holes(steps_s: FloatArray, period_s: float) -> int:
