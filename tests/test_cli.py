@@ -1,6 +1,7 @@
 """The command line: exit codes, and one line for each mistake."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -274,3 +275,20 @@ def test_an_interruption_while_the_data_is_listed(
     monkeypatch.setattr(cli, "open_recording", stop)
     outcome = ovmot_command(*command, painted_euroc)
     assert (outcome.code, outcome.err) == (130, "ovmot: interrupted; nothing was written\n")
+
+
+def test_a_folder_whose_name_is_no_text(painted_euroc: Path, tmp_path: Path) -> None:
+    """A byte that is not UTF-8, as Python holds it, in what is read, written and printed."""
+    data = painted_euroc.rename(tmp_path / "data\udcff")
+    out = tmp_path / "out\udcff"
+    commands: tuple[list[str | Path], ...] = (["run", data, "-o", out, *FAST], ["doctor", data])
+    for command in commands:
+        ended = subprocess.run(
+            [sys.executable, "-m", "ovmot", *map(os.fsencode, command)],
+            check=False,
+            capture_output=True,
+            text=True,
+            errors="replace",
+        )
+        assert "Traceback" not in ended.stderr
+    assert json.loads((out / "run.json").read_text())["ended"] == "finished"

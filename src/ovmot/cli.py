@@ -1,5 +1,6 @@
 """The command line: thin, and the only place that prints errors and exits."""
 
+import io
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -63,6 +64,9 @@ def main() -> None:
     A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # the names of files need not be text
     try:
         app()
     except InputError as error:
@@ -186,7 +190,8 @@ def run(
             _say(f"ovmot: warning: {warning} ({count})")
     written = summary.counts["frames_written"]
     rate = written / max(summary.wall_seconds, 1e-9)
-    typer.echo(f"{written} frames in {summary.wall_seconds:.1f} s ({rate:.1f} frames/s) -> {out}")
+    took = f"{summary.wall_seconds:.1f} s ({rate:.1f} frames/s)"
+    typer.echo(_printable(f"{written} frames in {took} -> {out}"))
 
 
 @app.command()
@@ -228,7 +233,7 @@ def simulate(
     ):
         for done, _ in enumerate(write(out, simulation, seed), start=1):
             advance(done)
-    typer.echo(f"{total} frames -> {out}")
+    typer.echo(_printable(f"{total} frames -> {out}"))
 
 
 @app.command()
@@ -474,5 +479,9 @@ def _show(table: Table) -> None:
 
 
 def _say(line: str) -> None:
-    """One line; what a file makes it say can not steer the terminal."""
-    typer.echo("".join(c if c.isprintable() else "?" for c in line), err=True)
+    typer.echo(_printable(line), err=True)
+
+
+def _printable(line: str) -> str:
+    """What a file or its name makes us say can not steer the terminal, nor is it always UTF-8."""
+    return "".join(c if c.isprintable() else "?" for c in line)

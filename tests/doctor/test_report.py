@@ -40,3 +40,9 @@ def test_json(tmp_path: Path) -> None:
     }  # fmt: skip
     with pytest.raises(InputError, match="nowhere"):
         write_report(tmp_path / "nowhere" / "found.json", REPORT)
+
+
+def test_a_name_that_is_no_text_comes_back(tmp_path: Path) -> None:
+    strange = "urban\udcff"  # a byte of a name that is not UTF-8, as Python holds it
+    write_report(tmp_path / "found.json", make_report(strange, "kaist", []))
+    assert json.loads((tmp_path / "found.json").read_text())["name"] == strange

@@ -1,6 +1,7 @@
 import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -50,6 +51,13 @@ def test_content(tmp_path: Path) -> None:
     assert {"python", "platform"} <= set(data["versions"])
     assert data["wall_seconds"] == 4.568
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_a_path_that_is_no_text_comes_back(tmp_path: Path) -> None:
+    strange = "data/\udcff"  # a byte of a name that is not UTF-8, as Python holds it
+    told = summary()
+    write_run_json(tmp_path, replace(told, source=replace(told.source, path=strange)))
+    assert json.loads((tmp_path / "run.json").read_text())["input"]["path"] == strange
 
 
 def test_settings_can_be_read_back(tmp_path: Path) -> None:

@@ -74,7 +74,9 @@ def report_table(report: Report) -> Table:
 
 def write_report(path: Path, report: Report) -> None:
     """The report as JSON; raises `InputError` where the file can not be written."""
+    text = json.dumps(asdict(report), indent=2, ensure_ascii=False) + "\n"
     try:
-        path.write_text(json.dumps(asdict(report), indent=2, ensure_ascii=False) + "\n", "utf-8")
+        # a name need not be UTF-8; what it is written as then is JSON's own escape
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise InputError.at(path, f"cannot be written: {error.strerror}") from None

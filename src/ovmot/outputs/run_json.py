@@ -69,7 +69,8 @@ def write_run_json(folder: Path, summary: RunSummary) -> None:
     path, partial = folder / RUN_JSON, folder / PARTIAL_RUN_JSON
     text = json.dumps(_as_json(summary), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     try:
-        partial.write_text(text, encoding="utf-8")
+        # a path need not be UTF-8; what it is written as then is JSON's own escape
+        partial.write_text(text, encoding="utf-8", errors="backslashreplace")
         partial.replace(path)
     except OSError as error:
         with contextlib.suppress(OSError):
