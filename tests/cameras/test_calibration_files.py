@@ -112,7 +112,7 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("-0.11]", "-110.0]", "110 m apart .translations are in metres"),
         ("timeshift_cam_imu: 0.005", "timeshift_cam_imu: 1e300", "no clock is 1e.300 s off"),
         ("458.6, 457.2", "1e-9, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
-        ("458.6, 457.2", "1e12, 1e12", "cam0: no lens makes a picture of 752x480 pixels"),
+        ("458.6, 457.2", "1e12, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
         ("[-0.1, 0.01, 1.0e-3", "[1e9, 0.01, 1.0e-3", "cam0: no lens makes a picture"),
         ("timeshift_cam_imu: 0.005", "resolution: [752, 480]", "found 'resolution' twice"),
         ("camera_model: pinhole\n", "camera_model: [pinhole\n", "not valid YAML"),

@@ -141,13 +141,13 @@ def test_opening_many_frames_decodes_none(kaist: Path, monkeypatch: pytest.Monke
     def refuse(*_: object) -> None:
         raise AssertionError("an image was decoded")
 
-    stamps = [FIRST_NS + i * 100_000 for i in range(5000)]
+    stamps = [FIRST_NS + i * 500_000 for i in range(1000)]
     for side in ("left", "right"):
         for stamp in stamps:
             (kaist / "image" / f"stereo_{side}" / f"{stamp}.png").touch()
     (kaist / "sensor_data" / "stereo_stamp.csv").write_text("\n".join(map(str, stamps)))
     monkeypatch.setattr(cv2, "imdecode", refuse)
-    assert len(open_sequence(kaist)) == 5000
+    assert len(open_sequence(kaist)) == 1000
 
 
 # ---- images that are missing or badly listed
@@ -227,8 +227,8 @@ def test_stamps_of_another_unit(euroc: Path) -> None:
         folder = euroc / "mav0" / camera
         (folder / "data.csv").unlink()
         for image in (folder / "data").iterdir():
-            image.rename(image.with_name(f"{int(image.stem) // 10_000}.png"))
-    with pytest.raises(DatasetError, match=r"tiny: 6 stereo pairs within 50000 ns; stamps"):
+            image.rename(image.with_name(f"{int(image.stem) // 1000}.png"))
+    with pytest.raises(DatasetError, match=r"tiny: 6 stereo pairs within 500000 ns; stamps"):
         open_sequence(euroc)
 
 

@@ -197,9 +197,11 @@ def _makes_a_picture(camera: Camera) -> bool:
     u, v = np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID)
     with np.errstate(all="ignore"):
         rays = camera.normalize(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-        radius = np.linalg.norm(rays, axis=1)
-    seen = np.isfinite(radius)
-    return bool(seen.mean() >= _LEAST_SEEN and _FIELD[0] < radius[seen].max() < _FIELD[1])
+    seen = np.isfinite(rays).all(axis=1)
+    if seen.mean() < _LEAST_SEEN:
+        return False
+    across = np.abs(rays[seen]).max(axis=0)  # to the sides, up and down
+    return bool(_FIELD[0] < across.min() and across.max() < _FIELD[1])
 
 
 def _short(value: Any) -> str:

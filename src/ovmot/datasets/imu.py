@@ -15,7 +15,7 @@ FASTEST_RPS = 35.0
 _HARDEST_MPS2 = 400.0  # 40 g, beyond the range of common accelerometers
 _ACCEL_RANGE = (5.0, 15.0)
 _MOST = 1e6  # rad/s or m/s², and raw counts of 20 bits: beyond any sensor
-_LEAST_INTERVAL_NS = 10_000
+_LEAST_INTERVAL_NS = 30_000  # an IMU of 33 kHz; microseconds of one above 33 Hz are less
 
 
 def checked_imu(

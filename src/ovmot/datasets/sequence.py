@@ -20,7 +20,7 @@ from ovmot.types import ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
 
-_LEAST_INTERVAL_NS = 100_000  # a camera of 10 kHz
+_LEAST_INTERVAL_NS = 500_000  # a camera of 2 kHz; microseconds of one above 2 Hz are less
 
 
 @dataclass(frozen=True, slots=True)
