@@ -13,6 +13,7 @@ from ovmot.types import ImuData
 FASTEST_RPS = 35.0
 """2000 °/s, the widest range of common gyroscopes."""
 _HARDEST_MPS2 = 400.0  # 40 g, beyond the range of common accelerometers
+_MOST_SPIKES = 0.01  # share of the samples
 _ACCEL_RANGE = (5.0, 15.0)
 _MOST = 1e6  # rad/s or m/s², and raw counts of 20 bits: beyond any sensor
 _LEAST_INTERVAL_NS = 30_000  # an IMU of 33 kHz; microseconds of one above 33 Hz are less
@@ -42,9 +43,9 @@ def checked_imu(
         table.values[fresh, accel_first : accel_first + 3],
     )
     _refuse_absurd(imu, table.row[fresh], table.path)
-    _note_gaps(imu, table, max_gap_s, findings)
     _note_units(imu, table, findings)
-    _note_outliers(imu, table.row[fresh], table.path, findings)
+    imu = _without_spikes(imu, table.row[fresh], table.path, findings)
+    _note_gaps(imu, table, max_gap_s, findings)
     return imu
 
 
@@ -87,16 +88,22 @@ def _note_units(imu: ImuData, table: StampedTable, findings: Findings) -> None:
         findings.note("imu_units", 1, text)
 
 
-def _note_outliers(imu: ImuData, row: IntArray, path: Path | str, findings: Findings) -> None:
+def _without_spikes(imu: ImuData, row: IntArray, path: Path | str, findings: Findings) -> ImuData:
+    """The samples that a sensor can have measured; all of them where too many are no spikes."""
     if not np.any(imu.gyro):
         findings.note("imu_dead", 1, f"{path}: the gyroscope is 0 throughout; check the columns")
     if "imu_units" in findings.counts:
-        return  # said already, of all rows
+        return imu  # said already, of all rows
     beyond = np.abs(imu.gyro).max(axis=1) > FASTEST_RPS
     beyond |= np.abs(imu.accel).max(axis=1) > _HARDEST_MPS2
+    count = int(np.count_nonzero(beyond))
+    rare = count <= max(_MOST_SPIKES * len(imu), 1)
     first = int(row[int(np.argmax(beyond))])
     text = (
-        f"{path}: {np.count_nonzero(beyond)} rows, the first is row {first}, beyond common sensors"
-        f" ({FASTEST_RPS:g} rad/s, {_HARDEST_MPS2:g} m/s²): spikes, or other units"
+        f"{path}: {count} rows, the first is row {first}, beyond common sensors"
+        f" ({FASTEST_RPS:g} rad/s, {_HARDEST_MPS2:g} m/s²)"
     )
-    findings.note("imu_beyond_range", int(np.count_nonzero(beyond)), text)
+    outcome = "spikes, left out" if rare else "so many are no spikes; check the units"
+    findings.note("imu_beyond_range", count, f"{text}: {outcome}")
+    kept = ~beyond if rare else np.ones(len(imu), dtype=bool)
+    return ImuData(imu.timestamp_ns[kept], imu.gyro[kept], imu.accel[kept])
