@@ -12,7 +12,7 @@ def excluded_features(seen: ScenePoints, most_share: float) -> IntArray:
     Of all points at most `most_share`: the bodies with most points stay in the filter's view, since
     one that has most of the picture may be the street, taken for a body.
     """
-    has = (seen.track_id >= 0) & (seen.label == int(PointLabel.DYNAMIC))
+    has = (seen.track_id >= 0) & (seen.label != int(PointLabel.STATIC))
     bodies, count = np.unique(seen.track_id[has], return_counts=True)
     smallest_first = np.argsort(count, kind="stable")
     within = np.cumsum(count[smallest_first]) <= most_share * len(seen.feature_id)

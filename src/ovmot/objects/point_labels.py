@@ -1,58 +1,90 @@
-"""What the tracks say of the points: one that belongs to a body does what the body does."""
+"""What the tracks say of the points: one that belongs to a body does what the body does.
+
+Between a body that moves and one that stands there are those that creep. A label is given where it
+is twice as likely as the other one; else the point stays unknown.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ovmot.geometry.arrays import BoolArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.followed import FeatureMotions, rest_or_body
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import Track, TrackState
 from ovmot.types import PointLabel, ScenePoints
 
-_MOVING_MPS = 0.85  # below a walker's pace: a body that is surely as fast has points that move
-_CLEAR = 9.0  # squared sigmas by which rest must explain a point of it better
+_MOVING_MPS = 1.0  # the pace of a slow walker
+_LIKELIER = 0.43  # sigmas: a Gaussian has a third of its weight beyond
+_LATE_S = 0.1  # a velocity is that of the middle of the time it was measured over
+_STEADY = 0.5  # m/s²: by which a velocity seems to change without
+_CLEAR = 9.0  # squared sigmas by which rest must explain a point of a moving body better
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """Speeds (T,) in m/s of tracks at one time, and their ids (T,), rising."""
+
+    timestamp_ns: int
+    track_id: IntArray
+    speed: FloatArray
 
 
 def label_points(
+    now_ns: int,
     seen: ScenePoints,
     owner: IntArray,
     tracks: Sequence[Track],
     motions: FeatureMotions,
-    before: IntArray,
+    before: Speeds,
 ) -> ScenePoints:
     """The N points with the ids of their tracks, `owner` (N,), -1 for none.
 
-    Those of a confirmed track are dynamic or static as the track is, but for points which clearly
-    rest beside one that moves. A point of no track that moves must have done so `before` (ids of
-    the last frame): else it is unknown, for one wrong match looks like that.
+    Those of a confirmed track are dynamic or static as the track is, but for points which rest
+    beside one that moves. Those of a tentative track stay as the split found them. What seems to
+    move and is part of no body is unknown: a wrong match looks like that. `before`: the speeds at
+    the last frame.
     """
     label = seen.label.copy()
-    new = (owner < 0) & (label == int(PointLabel.DYNAMIC)) & ~np.isin(seen.feature_id, before)
-    label[new] = int(PointLabel.UNKNOWN)
+    label[(owner < 0) & (label == int(PointLabel.DYNAMIC))] = int(PointLabel.UNKNOWN)
     for track in tracks:
         if track.state == TrackState.CONFIRMED:
             own = owner == track.track_id
-            label[own] = np.where(
-                _moves_with(track, own, motions), int(PointLabel.DYNAMIC), int(PointLabel.STATIC)
-            )
+            label[own] = _labels(track, own, motions, _speed_now(track, now_ns, before))
     return replace(seen, track_id=owner, label=label)
 
 
-def moving_ids(seen: ScenePoints) -> IntArray:
-    """Ids of the points that the split found moving."""
-    ids: IntArray = seen.feature_id[seen.label == int(PointLabel.DYNAMIC)]
-    return ids
+def speeds_of(now_ns: int, tracks: Sequence[Track]) -> Speeds:
+    """How fast tracks are."""
+    ids = np.array([t.track_id for t in tracks], dtype=np.int64)
+    speed = np.array([np.linalg.norm(t.velocity) for t in tracks], dtype=np.float64)
+    order = np.argsort(ids)
+    return Speeds(now_ns, ids[order], speed[order])
 
 
-def _moves_with(track: Track, own: BoolArray, motions: FeatureMotions) -> BoolArray:
-    """Which of a track's own points move as it does."""
-    P = track.filter.best.covariance[VELOCITY, VELOCITY]
+def _speed_now(track: Track, now_ns: int, before: Speeds) -> float:
+    """A track's speed, carried on to now by its change since the last frame: the filter is late."""
     speed = float(np.linalg.norm(track.velocity))
-    sigma = float(np.sqrt(track.velocity @ P @ track.velocity)) / max(speed, 1e-9)
-    if speed - sigma < _MOVING_MPS:
-        return np.zeros(int(own.sum()), dtype=np.bool_)
-    at_rest, with_body = rest_or_body(motions, np.flatnonzero(own), track.velocity, P)
-    rests: BoolArray = at_rest + _CLEAR < with_body
-    return ~rests
+    k = int(np.searchsorted(before.track_id, track.track_id))
+    dt_s = 1e-9 * (now_ns - before.timestamp_ns)
+    if k == len(before.track_id) or before.track_id[k] != track.track_id or dt_s <= 0.0:
+        return speed
+    change = (speed - float(before.speed[k])) / dt_s
+    sure = max(change - _STEADY, 0.0) + min(change + _STEADY, 0.0)
+    return max(speed + _LATE_S * sure, 0.0)
+
+
+def _labels(track: Track, own: BoolArray, motions: FeatureMotions, speed: float) -> IntArray:
+    """Labels of a confirmed track's own points."""
+    P = track.filter.best.covariance[VELOCITY, VELOCITY]
+    along = track.velocity / max(float(np.linalg.norm(track.velocity)), 1e-9)
+    margin = _LIKELIER * float(np.sqrt(along @ P @ along))
+    labels = np.full(int(own.sum()), int(PointLabel.UNKNOWN), dtype=np.int64)
+    if speed + margin < _MOVING_MPS:
+        labels[:] = int(PointLabel.STATIC)
+    elif speed - margin > _MOVING_MPS:
+        at_rest, with_body = rest_or_body(motions, np.flatnonzero(own), track.velocity, P)
+        labels[~(at_rest < with_body)] = int(PointLabel.DYNAMIC)
+        labels[at_rest + _CLEAR < with_body] = int(PointLabel.STATIC)
+    return labels

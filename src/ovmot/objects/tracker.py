@@ -15,7 +15,7 @@ from ovmot.objects.id_sets import contained, union, without
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
-from ovmot.objects.point_labels import label_points, moving_ids
+from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.region import inside
 from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gaps, measured, start_track
 from ovmot.types import ObjectTrack, ScenePoints
@@ -42,7 +42,7 @@ class ObjectTracker:
         self._tracks: tuple[Track, ...] = ()
         self._sightings = Sightings()
         self._next_id = 0
-        self._moved = np.empty(0, dtype=np.int64)
+        self._speeds = speeds_of(0, ())
 
     def step(
         self,
@@ -87,8 +87,8 @@ class ObjectTracker:
             _as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
             for t in self._tracks
         )
-        points = label_points(seen, owner, self._tracks, motions, self._moved)
-        self._moved = moving_ids(seen)
+        before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)
+        points = label_points(timestamp_ns, seen, owner, self._tracks, motions, before)
         return shown, points
 
     def owned(self, seen: ScenePoints) -> ScenePoints:

@@ -1,0 +1,116 @@
+"""Labels of points: what their track does, where that is clear; else unknown."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.followed import FeatureMotions
+from ovmot.objects.measurement import ObjectMeasurement
+from ovmot.objects.point_labels import Speeds, label_points, speeds_of
+from ovmot.objects.track import Track, TrackState, start_track
+from ovmot.types import PointLabel, ScenePoints
+
+UNKNOWN, STATIC, DYNAMIC = (int(k) for k in PointLabel)
+FRAME_NS = 100_000_000
+NOTHING_BEFORE = speeds_of(0, ())
+
+
+def track(
+    velocity: FloatArray, sigma: float = 0.1, state: TrackState = TrackState.CONFIRMED
+) -> Track:
+    P = np.diag(np.repeat([0.1, sigma], 3) ** 2)
+    nothing = np.empty(0, dtype=np.int64)
+    made = start_track(7, FRAME_NS, ObjectMeasurement(
+        feature_id=nothing, p_world=np.empty((0, 3)), position=np.zeros(3), velocity=velocity,
+        yaw_rate=0.0, T_now_before=np.eye(4), span_s=0.1, covariance=P, yaw_rate_variance=0.01,
+        size=np.array([4.0, 1.8, 1.5]),
+    ))  # fmt: skip
+    return replace(made, state=state)
+
+
+def seen(label: int, n: int = 1) -> ScenePoints:
+    two, one = np.full((n, 2), np.nan), np.full(n, np.nan)
+    return ScenePoints(
+        feature_id=np.arange(n), pixels=np.full((n, 4), np.nan),
+        p_cam0=np.full((n, 3), np.nan), cov_cam0=np.full((n, 3, 3), np.nan),
+        label=np.full(n, label), track_id=np.full(n, -1),
+        previous=two, predicted=two, distance_m=one, reprojection_px=one,
+        two_view_inlier=np.ones(n, dtype=np.bool_),
+    )  # fmt: skip
+
+
+def motions(velocity: FloatArray) -> FeatureMotions:
+    """Features with velocities (N, 3), known to 0.3 m/s."""
+    n = len(velocity)
+    C = np.broadcast_to(0.09 * np.eye(3), (n, 3, 3))
+    return FeatureMotions(np.arange(n), np.zeros((n, 3)), C, velocity, C, np.zeros(n))
+
+
+def label_of(body: Track, before: Speeds = NOTHING_BEFORE, split: int = STATIC) -> int:
+    """The label of a point that goes as its track does."""
+    points = label_points(
+        FRAME_NS, seen(split), np.array([7]), [body], motions(body.velocity[None]), before
+    )
+    return int(points.label[0])
+
+
+@pytest.mark.parametrize(
+    ("speed", "sigma", "label"),
+    [
+        (3.0, 0.3, DYNAMIC),
+        (1.1, 0.1, DYNAMIC),
+        (1.02, 0.1, UNKNOWN),
+        (0.98, 0.1, UNKNOWN),
+        (0.9, 0.1, STATIC),
+        (1.1, 0.5, UNKNOWN),
+        (0.0, 0.4, STATIC),
+    ],
+)
+def test_a_point_does_what_its_track_does(speed: float, sigma: float, label: int) -> None:
+    assert label_of(track(np.array([0.0, speed, 0.0]), sigma)) == label
+    assert label_of(track(np.array([0.0, speed, 0.0]), sigma), split=DYNAMIC) == label
+
+
+@pytest.mark.parametrize(("before", "label"), [(1.6, STATIC), (1.45, UNKNOWN), (1.23, DYNAMIC)])
+def test_on_the_brakes_the_estimate_is_late(before: float, label: int) -> None:
+    """4 m/s² carry 1.2 m/s on to less than 1 m/s; noise does not."""
+    body = track(np.array([1.2, 0.0, 0.0]))
+    assert label_of(body, Speeds(0, np.array([3, 7]), np.array([9.0, before]))) == label
+    other = Speeds(0, np.array([3, 8]), np.array([9.0, before]))
+    assert label_of(body, other) == DYNAMIC
+
+
+def test_pulling_out_too() -> None:
+    body = track(np.array([0.9, 0.0, 0.0]))
+    assert label_of(body) == STATIC
+    assert label_of(body, Speeds(0, np.array([7]), np.array([0.6]))) == DYNAMIC
+
+
+def test_beside_a_body_points_rest() -> None:
+    """Of a moving track's points those that clearly rest are static, those that may, unknown."""
+    body = track(np.array([2.0, 0.0, 0.0]))
+    v = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.0], [np.nan] * 3])
+    owner = np.full(4, 7)
+    points = label_points(FRAME_NS, seen(DYNAMIC, 4), owner, [body], motions(v), NOTHING_BEFORE)
+    assert points.label.tolist() == [DYNAMIC, STATIC, UNKNOWN, DYNAMIC]
+    np.testing.assert_array_equal(points.track_id, owner)
+
+
+def test_what_moves_alone_is_unknown() -> None:
+    owner: IntArray = np.array([-1, 7])
+    tentative = track(np.array([2.0, 0.0, 0.0]), state=TrackState.TENTATIVE)
+    arguments = owner, [tentative], motions(np.zeros((2, 3))), NOTHING_BEFORE
+    assert label_points(FRAME_NS, seen(DYNAMIC, 2), *arguments).label.tolist() == [UNKNOWN, DYNAMIC]
+    assert label_points(FRAME_NS, seen(STATIC, 2), *arguments).label.tolist() == [STATIC, STATIC]
+
+
+def test_speeds_are_in_the_order_of_ids() -> None:
+    bodies = [
+        replace(track(np.array([3.0, 4.0, 0.0])), track_id=9),
+        track(np.array([0.0, 1.0, 0.0])),
+    ]
+    speeds = speeds_of(5, bodies)
+    assert speeds.track_id.tolist() == [7, 9]
+    np.testing.assert_allclose(speeds.speed, [1.0, 5.0])
