@@ -21,13 +21,11 @@ def _seen(owner: list[int], label: list[PointLabel]) -> ScenePoints:
 
 
 def test_points_of_moving_bodies_are_left_out() -> None:
-    moves, rests = PointLabel.DYNAMIC, PointLabel.STATIC
-    seen = _seen(
-        [-1, -1, -1, 3, 3, 7, -1, -1], [rests, rests, moves, moves, moves, rests, rests, rests]
-    )
-    # not the loose one, which the split bars, and not those of a body that stands
+    moves, may, rests = PointLabel.DYNAMIC, PointLabel.UNKNOWN, PointLabel.STATIC
+    seen = _seen([-1, -1, -1, 3, 3, 7], [rests, may, moves, moves, may, rests])
+    # not the loose ones, which the split bars, and not those of a body that stands
     np.testing.assert_array_equal(excluded_features(seen, 0.5), [13, 14])
-    none = replace(seen, track_id=np.full(8, -1))
+    none = replace(seen, track_id=np.full(6, -1))
     assert len(excluded_features(none, 0.5)) == 0
 
 

@@ -7,7 +7,7 @@ from ovmot.types import PointLabel, ScenePoints
 
 
 def excluded_features(seen: ScenePoints, most_share: float) -> IntArray:
-    """Ids of the points of bodies that move, whatever the split says of each by itself.
+    """Ids of the points of bodies that move, or may, whatever the split says of each by itself.
 
     Of all points at most `most_share`: the bodies with most points stay in the filter's view, since
     one that has most of the picture may be the street, taken for a body.
