@@ -41,11 +41,12 @@ def seen(label: int, n: int = 1) -> ScenePoints:
     )  # fmt: skip
 
 
-def motions(velocity: FloatArray) -> FeatureMotions:
-    """Features with velocities (N, 3), known to 0.3 m/s."""
+def motions(velocity: FloatArray, x_m: float = 0.0) -> FeatureMotions:
+    """Features with velocities (N, 3), known to 0.3 m/s, ahead of the track's middle."""
     n = len(velocity)
     C = np.broadcast_to(0.09 * np.eye(3), (n, 3, 3))
-    return FeatureMotions(np.arange(n), np.zeros((n, 3)), C, velocity, C, np.zeros(n))
+    p_world = np.tile([x_m, 0.0, 0.0], (n, 1))
+    return FeatureMotions(np.arange(n), p_world, C, velocity, C, np.zeros(n))
 
 
 def label_of(body: Track, before: Speeds = NOTHING_BEFORE, split: int = STATIC) -> int:
@@ -96,6 +97,20 @@ def test_beside_a_body_points_rest() -> None:
     points = label_points(FRAME_NS, seen(DYNAMIC, 4), owner, [body], motions(v), NOTHING_BEFORE)
     assert points.label.tolist() == [DYNAMIC, STATIC, UNKNOWN, DYNAMIC]
     np.testing.assert_array_equal(points.track_id, owner)
+
+
+@pytest.mark.parametrize(("x_m", "label"), [(1.0, UNKNOWN), (9.0, STATIC)])
+def test_where_a_body_moves_rest_must_be_seen(x_m: float, label: int) -> None:
+    """What the split took for static, and is no track's, may be a part of the body."""
+    body = track(np.array([2.0, 0.0, 0.0]))
+    v = np.array([[1.9, 0.0, 0.0], [0.2, 0.0, 0.0], [np.nan] * 3])
+    arguments = np.full(3, -1), [body], motions(v, x_m), NOTHING_BEFORE
+    points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
+    assert points.label.tolist() == [label, STATIC, STATIC]
+    standing = replace(body, filter=track(np.zeros(3)).filter)
+    arguments = np.full(3, -1), [standing], motions(v, x_m), NOTHING_BEFORE
+    points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
+    assert points.label.tolist() == [STATIC] * 3
 
 
 def test_what_moves_alone_is_unknown() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.followed import FeatureMotions, rest_or_body
 from ovmot.objects.motion_models import VELOCITY
+from ovmot.objects.region import inside
 from ovmot.objects.track import Track, TrackState
 from ovmot.types import PointLabel, ScenePoints
 
@@ -43,15 +44,21 @@ def label_points(
 
     Those of a confirmed track are dynamic or static as the track is, but for points which rest
     beside one that moves. Those of a tentative track stay as the split found them. What seems to
-    move and is part of no body is unknown: a wrong match looks like that. `before`: the speeds at
+    move and is part of no body is unknown: a wrong match looks like that. So is a point that seems
+    to rest where a body moves, if that body's motion explains it better. `before`: the speeds at
     the last frame.
     """
     label = seen.label.copy()
-    label[(owner < 0) & (label == int(PointLabel.DYNAMIC))] = int(PointLabel.UNKNOWN)
-    for track in tracks:
-        if track.state == TrackState.CONFIRMED:
-            own = owner == track.track_id
-            label[own] = _labels(track, own, motions, _speed_now(track, now_ns, before))
+    loose = owner < 0
+    label[loose & (label == int(PointLabel.DYNAMIC))] = int(PointLabel.UNKNOWN)
+    confirmed = [t for t in tracks if t.state == TrackState.CONFIRMED]
+    near = inside(confirmed, motions.p_world, motions.position_cov)
+    for track, at in zip(confirmed, near, strict=True):
+        own = owner == track.track_id
+        kind = _kind(track, _speed_now(track, now_ns, before))
+        label[own] = int(kind)
+        if kind == PointLabel.DYNAMIC:
+            label = _doubted(label, own, loose & at, track, motions)
     return replace(seen, track_id=owner, label=label)
 
 
@@ -75,16 +82,26 @@ def _speed_now(track: Track, now_ns: int, before: Speeds) -> float:
     return max(speed + _LATE_S * sure, 0.0)
 
 
-def _labels(track: Track, own: BoolArray, motions: FeatureMotions, speed: float) -> IntArray:
-    """Labels of a confirmed track's own points."""
+def _kind(track: Track, speed: float) -> PointLabel:
+    """What a track does, at its speed of now."""
     P = track.filter.best.covariance[VELOCITY, VELOCITY]
     along = track.velocity / max(float(np.linalg.norm(track.velocity)), 1e-9)
     margin = _LIKELIER * float(np.sqrt(along @ P @ along))
-    labels = np.full(int(own.sum()), int(PointLabel.UNKNOWN), dtype=np.int64)
     if speed + margin < _MOVING_MPS:
-        labels[:] = int(PointLabel.STATIC)
-    elif speed - margin > _MOVING_MPS:
-        at_rest, with_body = rest_or_body(motions, np.flatnonzero(own), track.velocity, P)
-        labels[~(at_rest < with_body)] = int(PointLabel.DYNAMIC)
-        labels[at_rest + _CLEAR < with_body] = int(PointLabel.STATIC)
-    return labels
+        return PointLabel.STATIC
+    return PointLabel.DYNAMIC if speed - margin > _MOVING_MPS else PointLabel.UNKNOWN
+
+
+def _doubted(
+    label: IntArray, own: BoolArray, beside: BoolArray, track: Track, motions: FeatureMotions
+) -> IntArray:
+    """Labels (N,), those of a moving track's own points and of those beside it by their motions."""
+    index = np.flatnonzero(own | beside)
+    P = track.filter.best.covariance[VELOCITY, VELOCITY]
+    at_rest, with_body = rest_or_body(motions, index, track.velocity, P)
+    mine, seems_static = own[index], label[index] == int(PointLabel.STATIC)
+    unclear = np.where(mine, at_rest < with_body, seems_static & (at_rest > with_body))
+    out = label.copy()
+    out[index[unclear]] = int(PointLabel.UNKNOWN)
+    out[index[mine & (at_rest + _CLEAR < with_body)]] = int(PointLabel.STATIC)
+    return out
