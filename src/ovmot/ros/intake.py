@@ -1,7 +1,8 @@
 """What has come in and not been worked on: the one thing that callbacks and worker share.
 
 Callbacks put, the worker takes; both only for moments. Here it is decided what is dropped: whole
-frames, the oldest first, so that the lag is bounded on a machine that is too slow.
+frames, the oldest first, so that the lag is bounded on a machine that is too slow. A frame that
+waits for a silent IMU is no such lag: it is held, and what was held is worked off bit by bit.
 """
 
 import threading
@@ -10,11 +11,16 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ovmot.config import LiveSettings
 from ovmot.ros.pairing import ImagePair, Side, StereoPairing
 from ovmot.types import ImuSample
 
 _MOST_IMU_SAMPLES = 50_000  # a minute and more, while the first frames compile
+_CATCH_UP = 0.2
+"""Of the frames held for the IMU, how many must be worked off with each new one: a worker a fifth
+quicker than the camera loses none; a slower one loses single frames, never many in a row."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +54,10 @@ class _Stream:
 
 @dataclass(slots=True)
 class _Queue:
-    """Pairs in order; `room` is how many may wait."""
+    """Pairs in order; `held` is how many more may wait, since the IMU was silent."""
 
     pairs: deque[WaitingPair] = field(default_factory=deque)
-    room: float = 0.0
+    held: float = 0.0
 
 
 class Intake:
@@ -66,7 +72,7 @@ class Intake:
         self._pairing = StereoPairing(round(1e9 * settings.pair_tolerance_s))
         self._streams = {"left": _Stream(), "right": _Stream(), "imu": _Stream()}
         self._imu: deque[ImuSample] = deque(maxlen=_MOST_IMU_SAMPLES)
-        self._queue = _Queue(room=settings.queue_frames)
+        self._queue = _Queue()
         self._restart: str | None = None
         self._changed = threading.Condition()
         self._counts: Counter[str] = Counter()
@@ -122,34 +128,28 @@ class Intake:
         return self._restart is not None or bool(self._imu) or self._is_covered()
 
     def _is_covered(self) -> bool:
-        newest = self._streams["imu"].last_ns
         pairs = self._queue.pairs
-        return bool(pairs) and newest is not None and newest >= self._on_imu_clock(pairs[0])
+        return bool(pairs) and self._ahead_of_imu_ns(pairs[0]) <= 0
 
-    def _on_imu_clock(self, waiting: WaitingPair) -> int:
-        return waiting.pair.timestamp_ns + self._offset_ns
+    def _ahead_of_imu_ns(self, waiting: WaitingPair) -> float:
+        """How far the IMU has still to come for this pair; infinite before its first sample."""
+        newest = self._streams["imu"].last_ns
+        return np.inf if newest is None else waiting.pair.timestamp_ns + self._offset_ns - newest
 
     def _put_pair(self, pair: WaitingPair) -> None:
-        """Queue it; pairs that wait for a silent IMU may be more, and are worked off later."""
+        """Queue it, and drop the oldest one where the worker, not the IMU, is too slow."""
         queue, settings = self._queue, self._settings
         queue.pairs.append(pair)
-        newest_imu = self._streams["imu"].last_ns
-        if newest_imu is not None and not self._is_covered():
-            behind_ns = self._on_imu_clock(pair) - newest_imu
-            if behind_ns <= 1e9 * settings.hold_s:
-                queue.room = max(queue.room, len(queue.pairs) + 1)
-        while len(queue.pairs) > max(queue.room, settings.queue_frames):
+        silent = sum(0 < self._ahead_of_imu_ns(p) <= 1e9 * settings.hold_s for p in queue.pairs)
+        queue.held = max(queue.held - _CATCH_UP, float(silent))
+        while len(queue.pairs) > settings.queue_frames + queue.held:
             queue.pairs.popleft()
             self._counts["dropped"] += 1
 
     def _pop(self) -> WaitingPair:
-        """The oldest pair; the room that a silent IMU had made shrinks half as fast as it is used,
-        so that a worker of twice the camera's rate catches up and drops none."""
         for stream in self._streams.values():
             stream.before_ns = None  # the source runs: nothing stray is on its way any more
-        queue = self._queue
-        queue.room = max(float(self._settings.queue_frames), queue.room - 0.5)
-        return queue.pairs.popleft()
+        return self._queue.pairs.popleft()
 
     def _is_in_order(self, name: str, stamp_ns: int) -> bool:
         """Note a stamp. False for a late message or a stray one; a jump begins everything again."""
@@ -176,7 +176,7 @@ class Intake:
         self._counts["dropped"] += len(self._queue.pairs)
         self._pairing.clear()
         self._imu.clear()
-        self._queue = _Queue(room=self._settings.queue_frames)
+        self._queue = _Queue()
         for stream in self._streams.values():
             stream.last_ns = None
         self._restart = why
