@@ -14,7 +14,7 @@ from ovmot.config import LiveSettings
 from ovmot.errors import OvmotError
 from ovmot.geometry import se3
 from ovmot.ros.intake import Intake
-from ovmot.ros.messages import OVERLAY, PATH, TF
+from ovmot.ros.messages import OBJECTS, OVERLAY, PATH, STATIC_POINTS, TF
 from ovmot.ros.session import IMU_ODOMETRY, Session
 from ovmot.ros.values import Published
 from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
@@ -135,6 +135,29 @@ def test_a_restart_makes_a_new_pipeline_and_a_new_path(setup: Setup) -> None:
     assert any("went back by" in line and "new segment" in line for line in setup.said)
     paths = [p.message.fields["poses"] for p in setup.sink.sent if p.topic == PATH]
     assert [len(poses) for poses in paths] == [1, 1]  # type: ignore[arg-type]
+
+
+def test_no_id_comes_twice(setup: Setup) -> None:
+    used: list[tuple[int, ...]] = []
+    for at_ms in (20_000, 10_000, 100):  # back, twice
+        setup.frame(at_ms)
+        used.append(ids_of_objects(setup.sink) + ids_of_points(setup.sink))
+    assert setup.session.counts["restarts"] == 2
+    assert all(used) and len({i for ids in used for i in ids}) == sum(map(len, used))
+
+
+def ids_of_objects(sink: Sink) -> tuple[int, ...]:
+    objects: Any = newest(sink, OBJECTS)["objects"]
+    return tuple(o.fields["id"] for o in objects)
+
+
+def ids_of_points(sink: Sink) -> tuple[int, ...]:
+    data: Any = newest(sink, STATIC_POINTS)["data"]
+    return tuple(1000 + i for i in data.view("<i4").reshape(-1, 5)[:, 3].tolist())
+
+
+def newest(sink: Sink, topic: str) -> Any:
+    return [p for p in sink.sent if p.topic == topic][-1].message.fields
 
 
 def test_a_breakdown_is_said_and_the_next_frame_goes_on(setup: Setup) -> None:

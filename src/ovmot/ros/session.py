@@ -5,8 +5,7 @@ Nothing here knows a version of ROS: a `Sink` sends the messages.
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
@@ -30,8 +29,9 @@ from ovmot.ros.messages import (
     odometry,
     overlay_message,
 )
+from ovmot.ros.numbering import Numbers
 from ovmot.ros.values import Published
-from ovmot.types import FrameResult, ImuSample, StereoFrame
+from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
 
 IMU_ODOMETRY = "/ovmot/odometry/imu_rate"
 LIVE_TOPICS = {**TOPICS, IMU_ODOMETRY: "nav_msgs/Odometry"}
@@ -78,7 +78,8 @@ class Session:
         self._say = say
         self._names = frame_names(settings)
         self._pipeline = make_pipeline()
-        self._segment = 0  # of the pipeline's first
+        self._first = Numbers()  # of this pipeline
+        self._free = Numbers()
         self._path = PathSoFar()
         self._trails = Trails()
         self._newest_ns: int | None = None  # frame with a result
@@ -109,13 +110,13 @@ class Session:
 
     def _do(self, batch: Batch) -> None:
         for sample in batch.imu:
-            for result in self._pipeline.feed(sample):
+            for result in self._results(sample):
                 self._publish(result)
             self._publish_between(sample, batch)
         if batch.pair is not None:
             frame = decoded(batch.pair, self._settings, self._rig)
             self.counts["frames"] += 1
-            for result in self._pipeline.feed(frame):
+            for result in self._results(frame):
                 self._publish(result)
                 self._latency_s.append(time.monotonic() - batch.pair.arrived_s)
                 self._publish_overlay(result)
@@ -124,19 +125,26 @@ class Session:
     def _begin_again(self, why: str) -> None:
         self._say(f"{why}: starting again, in a new segment")
         self.counts["restarts"] += 1
-        self._segment += self._pipeline.counts["resets"] + 1
+        self._first = self._free
         self._pipeline.close()
         self._pipeline = self._make_pipeline()
         self._trails = Trails()
         self._newest_ns = None
         self._said_s.pop("start", None)
 
+    def _results(self, event: Event) -> Iterator[FrameResult]:
+        """What the pipeline makes of an event, with segments and ids of their own."""
+        for result in self._pipeline.feed(event):
+            stamp = result.timestamp_ns
+            if not np.all(np.isfinite(result.ego.T_world_imu)):
+                raise OvmotError(f"the pose at {stamp} ns is not finite")
+            numbered = self._first.applied(result)
+            self._free = self._free.beyond(numbered)
+            if result.segment and numbered.segment != self._path.segment:
+                self._say(f"the motion was lost before {stamp} ns: started again there")
+            yield numbered
+
     def _publish(self, result: FrameResult) -> None:
-        if not np.all(np.isfinite(result.ego.T_world_imu)):
-            raise OvmotError(f"the pose at {result.timestamp_ns} ns is not finite")
-        if result.segment and result.segment + self._segment != self._path.segment:
-            self._say(f"the motion was lost before {result.timestamp_ns} ns: started again there")
-        result = replace(result, segment=result.segment + self._segment)
         self.counts["results"] += 1
         self._newest_ns = result.timestamp_ns
         self._path = self._path.extended(result)
