@@ -23,8 +23,8 @@ def test_every_message_fits_the_classes_of_ros_2(result: FrameResult) -> None:
     pytest.importorskip("rclpy")
     from builtin_interfaces.msg import Time
 
+    from ovmot.ros.instances import filled
     from ovmot.ros.messages import PathSoFar, frame_messages
-    from ovmot.ros.ros1_messages import filled
     from ovmot.ros.ros2_node import _class_of
 
     checked = 0

@@ -1,18 +1,32 @@
-"""Silent inputs and losses are said once."""
+"""Silent inputs and losses are said once, and again after a while."""
 
 from collections import Counter
+from collections.abc import Mapping
 
-from ovmot.ros.watch import Watch
+from ovmot.ros.inputs import InputTopic
+from ovmot.ros.watch import Sight, Watch
 
-TOPICS = {"left": "/l", "right": "/r", "imu": "/i"}
+IMAGE, IMU = "sensor_msgs/Image", "sensor_msgs/Imu"
+TOPICS = {
+    "left": InputTopic("/l", IMAGE),
+    "right": InputTopic("/r", IMAGE),
+    "imu": InputTopic("/i", IMU),
+}
+PUBLISHED = {"/l": IMAGE, "/r": IMAGE, "/i": IMU}
 
 
-def look(watch: Watch, now_s: float, **counts: int) -> tuple[Watch, list[str]]:
-    return watch.look(now_s, Counter(counts), TOPICS, 0.012)
+def begin() -> Watch:
+    return Watch.begin(TOPICS, 0.0)
+
+
+def look(
+    watch: Watch, now_s: float, published: Mapping[str, str] | None = None, **counts: int
+) -> tuple[Watch, list[str]]:
+    return watch.look(Sight(now_s, Counter(counts), 0.012, published))
 
 
 def test_silence_and_its_end_are_said_once() -> None:
-    watch, lines = look(Watch.begin(0.0), 0.5, left=1, right=1, imu=9, pairs=1)
+    watch, lines = look(begin(), 0.5, left=1, right=1, imu=9, pairs=1)
     assert lines == []
     watch, lines = look(watch, 1.4, left=9, right=9, imu=9, pairs=9)
     assert lines == []
@@ -24,14 +38,39 @@ def test_silence_and_its_end_are_said_once() -> None:
     assert lines == ["/i: messages again"]
 
 
+def test_a_topic_that_never_comes_is_said_again_with_those_that_are_there() -> None:
+    there = {"/camera/l": IMAGE, "/r": IMAGE, "/i": IMU}
+    watch, said = begin(), []
+    for second in range(1, 62):
+        watch, lines = look(watch, second, there, right=second, imu=second)
+        said += [line for line in lines if line.startswith("/l")]
+    assert said == [
+        f"/l: nothing for {s} s: nobody publishes it; topics of sensor_msgs/Image: /camera/l, /r"
+        for s in (1, 31, 61)
+    ]
+
+
+def test_a_topic_that_came_once_is_not_taken_for_a_wrong_name() -> None:
+    watch, _ = look(begin(), 0.5, PUBLISHED, left=1, right=1, imu=1, pairs=1)
+    _, lines = look(watch, 2.0, {"/r": IMAGE, "/i": IMU}, left=1, right=9, imu=1, pairs=1)
+    assert lines == ["/l: nothing for 2 s: nobody publishes it any more", "/i: nothing for 2 s"]
+
+
+def test_left_without_right_is_said_of_the_right_one_only() -> None:
+    _, lines = look(begin(), 1.1, {"/l": IMAGE, "/i": IMU}, left=10, imu=100)
+    assert len(lines) == 1 and lines[0].startswith("/r: nothing for 1 s: nobody publishes it")
+
+
 def test_images_that_never_pair_are_said_with_their_distance() -> None:
-    _, lines = look(Watch.begin(0.0), 1.1, left=10, right=10, imu=100)
+    watch, lines = look(begin(), 1.1, PUBLISHED, left=10, right=10, imu=100)
     assert len(lines) == 1 and "12.0 ms apart" in lines[0]
+    _, lines = look(watch, 1.6, PUBLISHED, left=15, right=15, imu=150)
+    assert lines == []
 
 
 def test_losses_are_added_up_and_said_every_five_seconds() -> None:
     busy = {"left": 9, "right": 9, "imu": 9, "pairs": 9}
-    watch, lines = look(Watch.begin(0.0), 0.9, dropped=3, **busy)
+    watch, lines = look(begin(), 0.9, None, dropped=3, **busy)
     assert lines == []
     watch, lines = look(watch, 5.0, dropped=4, left=10, right=10, imu=10, pairs=10)
     assert lines == ["4 frames dropped: the machine is too slow, or the IMU is late"]

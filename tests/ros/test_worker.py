@@ -11,6 +11,7 @@ from ovmot.config import LiveSettings, Settings
 from ovmot.datasets import open_sequence
 from ovmot.datasets.stream import events
 from ovmot.ros import messages
+from ovmot.ros.inputs import input_topics
 from ovmot.ros.intake import Intake
 from ovmot.ros.typestore import filled, typestore
 from ovmot.ros.values import Published, image
@@ -27,6 +28,8 @@ SETTINGS = Settings.model_validate(
         "live": {"queue_frames": 100},
     }
 )  # fmt: skip
+
+TOPICS = input_topics(SETTINGS.live, str)
 
 
 class Heard:
@@ -67,10 +70,10 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> bool:
 def test_what_comes_in_goes_out_as_messages(painted_euroc: Path) -> None:
     sequence, heard, said = open_sequence(painted_euroc), Heard(), list[str]()
     known = Calibration(sequence.rig, sequence.imu_noise)
-    worker = Worker(SETTINGS, known, heard, said.append)
+    worker = Worker(SETTINGS, known, TOPICS, heard, said.append)
     feed(painted_euroc, worker.intake)
     assert until(lambda: len(heard.odometry()) >= 6)
-    assert worker.look() == []
+    assert worker.look(None) == []
     summary = worker.close()
     assert summary.startswith("12 frames, ") and "0 dropped" in summary and "p95" in summary
     kinds = {p.topic for p in heard.sent}
@@ -81,7 +84,8 @@ def test_what_ends_the_thread_is_raised_by_the_next_look(
     painted_euroc: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sequence = open_sequence(painted_euroc)
-    worker = Worker(SETTINGS, Calibration(sequence.rig, sequence.imu_noise), Heard(), print)
+    known = Calibration(sequence.rig, sequence.imu_noise)
+    worker = Worker(SETTINGS, known, TOPICS, Heard(), print)
 
     def broken(_: float) -> None:
         raise ZeroDivisionError("a defect")
@@ -89,7 +93,7 @@ def test_what_ends_the_thread_is_raised_by_the_next_look(
     monkeypatch.setattr(worker.intake, "take", broken)
     assert until(lambda: not worker._thread.is_alive())
     with pytest.raises(ZeroDivisionError, match="a defect"):
-        worker.look()
+        worker.look(None)
     worker.close()
 
 

@@ -1,14 +1,9 @@
-"""Our messages as instances of ROS 1's classes, and ROS 1's as our values."""
+"""The classes of ROS 1's messages, and its stamps."""
 
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
 from ovmot.ros.typestore import own_definitions
-from ovmot.ros.values import Message, Time, Value
-from ovmot.types import ImuSample
 
 _RULE = "\n" + "=" * 80 + "\n"
 _OWN_PACKAGE = "ovmot_msgs"
@@ -35,45 +30,10 @@ class Ros1Classes:
         return self._known[type_name]
 
 
-def filled(message: Message, class_of: Callable[[str], Any], time_of: Callable[..., Any]) -> Any:
-    """The message as an instance; `time_of(secs, nsecs)` makes its stamps (`genpy.Time`).
-
-    Raises `AttributeError` for a field that the class does not have.
-    """
-    instance = class_of(message.type_name)()
-    for name, value in message.fields.items():
-        if not hasattr(instance, name):
-            raise AttributeError(f"{message.type_name} has no field {name}")
-        setattr(instance, name, _value(value, class_of, time_of))
-    return instance
-
-
-def _value(given: Value, class_of: Callable[[str], Any], time_of: Callable[..., Any]) -> Any:
-    if isinstance(given, Message):
-        return filled(given, class_of, time_of)
-    if isinstance(given, Time):
-        return time_of(*given.parts)
-    if isinstance(given, np.ndarray):
-        return given.tobytes() if given.dtype == np.uint8 else given.tolist()
-    if isinstance(given, tuple | list):
-        return [_value(item, class_of, time_of) for item in given]
-    return given
-
-
 def stamp_ns(message: Any) -> int:
     """The stamp in a message's header."""
     stamp = message.header.stamp
     return int(stamp.secs) * 1_000_000_000 + int(stamp.nsecs)
-
-
-def imu_sample(message: Any) -> ImuSample:
-    """A `sensor_msgs/Imu`; its orientation is not used."""
-    gyro, accel = message.angular_velocity, message.linear_acceleration
-    return ImuSample(
-        stamp_ns(message),
-        np.array([gyro.x, gyro.y, gyro.z]),
-        np.array([accel.x, accel.y, accel.z]),
-    )
 
 
 def _own_classes() -> dict[str, Any]:

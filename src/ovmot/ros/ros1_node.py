@@ -1,27 +1,33 @@
 """`ovmot ros`: the live node on ROS 1 (Noetic). The only file that imports rospy."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.cameras.kalibr import read_kalibr
 from ovmot.config import Settings
-from ovmot.datasets.registry import open_sequence, recognise
 from ovmot.errors import InputError, OvmotError
-from ovmot.ros.master import MasterWatch
+from ovmot.ros.inputs import (
+    IMAGES_QUEUED,
+    IMU_QUEUED,
+    LOOK_EVERY_S,
+    RESULTS_QUEUED,
+    InputTopic,
+    input_topics,
+    live_calibration,
+)
+from ovmot.ros.instances import filled, imu_sample
 from ovmot.ros.pairing import Side
 from ovmot.ros.parameters import read_parameters
-from ovmot.ros.ros1_messages import Ros1Classes, filled, imu_sample, stamp_ns
+from ovmot.ros.ros1_master import MasterWatch
+from ovmot.ros.ros1_messages import Ros1Classes, stamp_ns
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
 from ovmot.ros.worker import Worker
 from ovmot.settings_file import load_settings
 
-_LOOK_EVERY_S = 0.5
 _IMAGE_BUFFER = 1 << 24  # rospy's own, 64 KiB, holds less than an image and then lags
-_IMAGES_QUEUED, _IMU_QUEUED, _RESULTS_QUEUED = 10, 2000, 10
 _REMEDY = (
     "on Debian: apt-get install python3-rospy python3-sensor-msgs python3-nav-msgs "
     "python3-visualization-msgs python3-tf2-msgs python3-std-srvs, and let the virtual environment "
@@ -48,63 +54,50 @@ def run_node(config: Path | None, calibration: Path | None, overrides: tuple[str
         rospy.signal_shutdown("ovmot ends")
 
 
-def live_calibration(path: Path | None) -> Calibration:
-    """The calibration in a Kalibr chain, or in the folder of a data set.
-
-    Raises `InputError` where there is none.
-    """
-    if path is None:
-        raise InputError("no calibration: give --calibration FILE (Kalibr chain) or ~calibration")
-    if path.is_dir() and recognise(path):
-        sequence = open_sequence(path)
-        return Calibration(sequence.rig, sequence.imu_noise)
-    return read_kalibr(path)
-
-
 class _Node:
     """Subscribers that fill the worker's intake, and publishers behind it."""
 
     def __init__(self, rospy: Any, settings: Settings, calibration: Calibration) -> None:
         self._rospy = rospy
-        self._live = settings.live
-        self._worker = Worker(settings, calibration, _Publishers(rospy), rospy.logwarn)
-        self._subscribe()
+        topics = input_topics(settings.live, rospy.resolve_name)
+        self._worker = Worker(settings, calibration, topics, _Publishers(rospy), rospy.logwarn)
+        self._subscribe(topics)
 
     def spin(self) -> None:
         """Look after inputs and master until shutdown; raises what ended the worker."""
         master = MasterWatch(self._rospy)
         while not self._rospy.is_shutdown():
-            time.sleep(_LOOK_EVERY_S)  # not rospy.sleep: simulated time may stand
-            for line in (*self._worker.look(), *master.look()):
+            time.sleep(LOOK_EVERY_S)  # not rospy.sleep: simulated time may stand
+            for line in (*master.look(), *self._worker.look(master.published())):
                 self._rospy.logwarn(line)
 
     def close(self) -> None:
         """End the worker and say what was done."""
         self._rospy.loginfo(self._worker.close())
 
-    def _subscribe(self) -> None:
+    def _subscribe(self, topics: Mapping[str, InputTopic]) -> None:
         from sensor_msgs.msg import CompressedImage, Image, Imu
         from std_srvs.srv import Trigger, TriggerResponse
 
-        rospy, live, intake = self._rospy, self._live, self._worker.intake
+        rospy, intake = self._rospy, self._worker.intake
 
-        def on_image(side: Side) -> Callable[[Any], None]:
-            return lambda message: intake.put_image(side, stamp_ns(message), message)
+        def on_image(message: Any, side: Side) -> None:
+            intake.put_image(side, stamp_ns(message), message)
 
         def on_reset(_: Any) -> Any:
             intake.restart("reset asked for")
             return TriggerResponse(success=True, message="starting again, in a new segment")
 
-        sides: tuple[tuple[Side, str], ...] = (("left", live.left), ("right", live.right))
-        for side, topic in sides:
-            kind = CompressedImage if topic.endswith("/compressed") else Image
+        for side in ("left", "right"):
+            kind = CompressedImage if topics[side].is_compressed else Image
             rospy.Subscriber(
-                topic, kind, on_image(side), queue_size=_IMAGES_QUEUED, buff_size=_IMAGE_BUFFER,
-                tcp_nodelay=True,
+                topics[side].name, kind, on_image, side, queue_size=IMAGES_QUEUED,
+                buff_size=_IMAGE_BUFFER, tcp_nodelay=True,
             )  # fmt: skip
         rospy.Subscriber(
-            live.imu, Imu, lambda message: intake.put_imu(imu_sample(message)),
-            queue_size=_IMU_QUEUED, tcp_nodelay=True,
+            topics["imu"].name, Imu,
+            lambda message: intake.put_imu(imu_sample(message, stamp_ns(message))),
+            queue_size=IMU_QUEUED, tcp_nodelay=True,
         )  # fmt: skip
         rospy.Service("~reset", Trigger, on_reset)
 
@@ -118,7 +111,7 @@ class _Publishers:
         self._class_of = Ros1Classes()
         self._time_of = genpy.Time
         self._publishers = {
-            topic: rospy.Publisher(topic, self._class_of(kind), queue_size=_RESULTS_QUEUED)
+            topic: rospy.Publisher(topic, self._class_of(kind), queue_size=RESULTS_QUEUED)
             for topic, kind in LIVE_TOPICS.items()
         }
 

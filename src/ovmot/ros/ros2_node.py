@@ -1,27 +1,30 @@
 """`ovmot ros2`: the live node on ROS 2. The only file that imports rclpy."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ovmot.cameras.calibration import Calibration
 from ovmot.config import Settings
 from ovmot.errors import InputError
+from ovmot.ros.inputs import (
+    IMAGES_QUEUED,
+    IMU_QUEUED,
+    LOOK_EVERY_S,
+    RESULTS_QUEUED,
+    InputTopic,
+    input_topics,
+    live_calibration,
+)
+from ovmot.ros.instances import filled, imu_sample
 from ovmot.ros.pairing import Side
-from ovmot.ros.ros1_messages import filled
-from ovmot.ros.ros1_node import live_calibration
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
 from ovmot.ros.worker import Worker
 from ovmot.settings_file import load_settings
-from ovmot.types import ImuSample
 
-_LOOK_EVERY_S = 0.5
-_IMAGES_QUEUED, _IMU_QUEUED, _RESULTS_QUEUED = 10, 2000, 10
 _REMEDY = "run it by the Python of a sourced ROS 2, 3.11 or newer: Jazzy or later (docs/ros.md)"
 
 
@@ -58,17 +61,19 @@ class _Node:
         self._rclpy = rclpy
         self._node = rclpy.create_node("ovmot")
         self._log = self._node.get_logger()
-        self._worker = Worker(settings, calibration, _Publishers(self._node), self._log.warning)
-        self._subscribe(settings)
+        topics = input_topics(settings.live, self._node.resolve_topic_name)
+        publishers = _Publishers(self._node)
+        self._worker = Worker(settings, calibration, topics, publishers, self._log.warning)
+        self._subscribe(topics)
 
     def spin(self) -> None:
         """Give out messages and look after the inputs until ROS ends."""
         next_look_s = time.monotonic()
         while self._rclpy.ok():
-            self._rclpy.spin_once(self._node, timeout_sec=_LOOK_EVERY_S)
+            self._rclpy.spin_once(self._node, timeout_sec=LOOK_EVERY_S)
             if time.monotonic() >= next_look_s:
-                next_look_s += _LOOK_EVERY_S
-                for line in self._worker.look():
+                next_look_s += LOOK_EVERY_S
+                for line in self._worker.look(self._published()):
                     self._log.warning(line)
 
     def close(self) -> None:
@@ -76,20 +81,28 @@ class _Node:
         self._log.info(self._worker.close())
         self._node.destroy_node()
 
-    def _subscribe(self, settings: Settings) -> None:
+    def _published(self) -> dict[str, str]:
+        """The types of all topics that anybody publishes."""
+        return {
+            name: kinds[0].replace("/msg/", "/")
+            for name, kinds in self._node.get_topic_names_and_types()
+            if self._node.count_publishers(name)
+        }
+
+    def _subscribe(self, topics: Mapping[str, InputTopic]) -> None:
         """Best effort: such a subscription takes what any publisher offers."""
         from rclpy.qos import QoSProfile, ReliabilityPolicy
         from sensor_msgs.msg import CompressedImage, Image, Imu
         from std_srvs.srv import Trigger
 
-        live, intake = settings.live, self._worker.intake
+        intake = self._worker.intake
         effort = ReliabilityPolicy.BEST_EFFORT
 
-        def subscribe_image(side: Side, topic: str) -> None:
-            kind = CompressedImage if topic.endswith("/compressed") else Image
+        def subscribe_image(side: Side) -> None:
+            kind = CompressedImage if topics[side].is_compressed else Image
             self._node.create_subscription(
-                kind, topic, lambda m: intake.put_image(side, _stamp_ns(m), m),
-                QoSProfile(depth=_IMAGES_QUEUED, reliability=effort),
+                kind, topics[side].name, lambda m: intake.put_image(side, _stamp_ns(m), m),
+                QoSProfile(depth=IMAGES_QUEUED, reliability=effort),
             )  # fmt: skip
 
         def on_reset(_: Any, response: Any) -> Any:
@@ -97,11 +110,11 @@ class _Node:
             response.success, response.message = True, "starting again, in a new segment"
             return response
 
-        subscribe_image("left", live.left)
-        subscribe_image("right", live.right)
+        subscribe_image("left")
+        subscribe_image("right")
         self._node.create_subscription(
-            Imu, live.imu, lambda m: intake.put_imu(_imu_sample(m)),
-            QoSProfile(depth=_IMU_QUEUED, reliability=effort),
+            Imu, topics["imu"].name, lambda m: intake.put_imu(imu_sample(m, _stamp_ns(m))),
+            QoSProfile(depth=IMU_QUEUED, reliability=effort),
         )  # fmt: skip
         self._node.create_service(Trigger, "~/reset", on_reset)
 
@@ -120,7 +133,7 @@ class _Publishers:
             except ImportError:
                 node.get_logger().warning(f"{topic} is left out: {kind} is not installed")
                 continue
-            self._publishers[topic] = node.create_publisher(found, topic, _RESULTS_QUEUED)
+            self._publishers[topic] = node.create_publisher(found, topic, RESULTS_QUEUED)
 
     def wanted(self, topic: str) -> bool:
         """Does anybody listen to this topic?"""
@@ -142,15 +155,6 @@ def _class_of(type_name: str) -> Any:
 def _stamp_ns(message: Any) -> int:
     stamp = message.header.stamp
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def _imu_sample(message: Any) -> ImuSample:
-    gyro, accel = message.angular_velocity, message.linear_acceleration
-    return ImuSample(
-        _stamp_ns(message),
-        np.array([gyro.x, gyro.y, gyro.z]),
-        np.array([accel.x, accel.y, accel.z]),
-    )
 
 
 def _import_rclpy() -> Any:

@@ -2,15 +2,16 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 
 from ovmot.cameras.calibration import Calibration
 from ovmot.config import Settings
 from ovmot.msckf.start import FilterStart
 from ovmot.pipeline import Pipeline
+from ovmot.ros.inputs import InputTopic
 from ovmot.ros.intake import Intake
 from ovmot.ros.session import Session, Sink
-from ovmot.ros.watch import Watch
+from ovmot.ros.watch import Sight, Watch
 from ovmot.run import noise_in_use
 
 
@@ -18,7 +19,12 @@ class Worker:
     """Takes from `intake`, which callbacks fill, and sends to `sink`, in a thread of its own."""
 
     def __init__(
-        self, settings: Settings, calibration: Calibration, sink: Sink, say: Callable[[str], None]
+        self,
+        settings: Settings,
+        calibration: Calibration,
+        topics: Mapping[str, InputTopic],
+        sink: Sink,
+        say: Callable[[str], None],
     ) -> None:
         rig, live = calibration.rig, settings.live
         noise = noise_in_use(calibration.imu_noise, settings)
@@ -31,19 +37,22 @@ class Worker:
             sink,
             say,
         )
-        self._topics = {"left": live.left, "right": live.right, "imu": live.imu}
-        self._watch = Watch.begin(time.monotonic())
+        self._watch = Watch.begin(topics, time.monotonic())
         self._failure: BaseException | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._work, name="ovmot-worker", daemon=True)
         self._thread.start()
 
-    def look(self) -> Iterable[str]:
-        """What is to be said of silent or lost inputs; raises what ended the thread."""
+    def look(self, published: Mapping[str, str] | None) -> list[str]:
+        """What is to be said of silent or lost inputs; raises what ended the thread.
+
+        `published`: the types of all topics that anybody publishes, None where not known.
+        """
         if self._failure is not None:
             raise self._failure
-        counts, apart_s = self.intake.counts(), self.intake.pair_distance_s
-        self._watch, lines = self._watch.look(time.monotonic(), counts, self._topics, apart_s)
+        intake = self.intake
+        sight = Sight(time.monotonic(), intake.counts(), intake.pair_distance_s, published)
+        self._watch, lines = self._watch.look(sight)
         return lines
 
     def close(self) -> str:

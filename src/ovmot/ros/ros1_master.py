@@ -20,12 +20,15 @@ class MasterWatch:
             return []
         if self._pid is None:
             return ["the ROS master is gone: connections stay, new ones cannot be made; going on"]
-        try:
-            self._register_again()
-        except OSError as error:  # it has gone again
-            self._pid = None
-            return [f"the new ROS master does not answer ({error}); going on"]
+        self._register_again()
         return ["there is a ROS master again: registered with it"]
+
+    def published(self) -> dict[str, str] | None:
+        """The types of all topics that anybody publishes, None where the master is gone."""
+        try:
+            return {str(topic): str(kind) for topic, kind in self._master.getPublishedTopics("")}
+        except Exception:  # as below
+            return None
 
     def _ask(self) -> int | None:
         try:
@@ -34,15 +37,16 @@ class MasterWatch:
             return None
 
     def _register_again(self) -> None:
-        """A new master knows nobody; it hands our topics on to nodes that come after us."""
-        from rospy.impl.registration import get_service_manager
+        """A new master knows nobody. It hands our topics on to nodes that come after us, and rospy
+        connects to those that it knew before us."""
+        from rospy.impl import registration
 
-        uri = self._rospy.core.get_node_uri()
-        topics = self._rospy.topics.get_topic_manager()
+        listeners = registration.get_registration_listeners()
+        topics = registration.get_topic_manager()
+        services = registration.get_service_manager()
         for topic, kind in topics.get_publications():
-            self._master.registerPublisher(topic, kind, uri)
+            listeners.notify_added(topic, kind, registration.Registration.PUB)
         for topic, kind in topics.get_subscriptions():
-            self._master.registerSubscriber(topic, kind, uri)
-        services = get_service_manager()
-        for name, service_uri in services.get_services():
-            self._master.registerService(name, service_uri, uri)
+            listeners.notify_added(topic, kind, registration.Registration.SUB)
+        for name, uri in services.get_services():
+            listeners.notify_added(name, uri, registration.Registration.SRV)
