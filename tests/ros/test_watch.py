@@ -41,13 +41,24 @@ def test_silence_and_its_end_are_said_once() -> None:
 def test_a_topic_that_never_comes_is_said_again_with_those_that_are_there() -> None:
     there = {"/camera/l": IMAGE, "/r": IMAGE, "/i": IMU}
     watch, said = begin(), []
-    for second in range(1, 62):
+    for second in range(1, 130):
         watch, lines = look(watch, second, there, right=second, imu=second)
         said += [line for line in lines if line.startswith("/l")]
     assert said == [
         f"/l: nothing for {s} s: nobody publishes it; topics of sensor_msgs/Image: /camera/l, /r"
-        for s in (1, 31, 61)
+        for s in (1, 30, 60, 120)
     ]
+
+
+def test_a_reason_that_comes_later_is_said_later() -> None:
+    watch, lines = look(begin(), 1.0, {}, left=1, right=0, imu=1)
+    assert lines == ["/r: nothing for 1 s: nobody publishes it, nor any other sensor_msgs/Image"]
+    watch, lines = look(watch, 2.0, {"/x": IMAGE}, left=2, imu=2)  # the bag begins
+    assert lines == []
+    watch, lines = look(watch, 6.0, {"/x": IMAGE}, left=3, imu=3)
+    assert lines[0] == ("/r: nothing for 6 s: nobody publishes it; topics of sensor_msgs/Image: /x")
+    _, lines = look(watch, 12.0, None, left=4, imu=4)  # the master is gone: nothing new
+    assert not any(line.startswith("/r") for line in lines)
 
 
 def test_a_topic_that_came_once_is_not_taken_for_a_wrong_name() -> None:
@@ -61,9 +72,16 @@ def test_left_without_right_is_said_of_the_right_one_only() -> None:
     assert len(lines) == 1 and lines[0].startswith("/r: nothing for 1 s: nobody publishes it")
 
 
+def test_the_first_messages_are_said_after_a_silence() -> None:
+    watch, _ = look(begin(), 1.1, left=1, right=1, pairs=1)
+    _, lines = look(watch, 1.6, left=2, right=2, pairs=2, imu=5)
+    assert lines == ["/i: messages come"]
+
+
 def test_images_that_never_pair_are_said_with_their_distance() -> None:
     watch, lines = look(begin(), 1.1, PUBLISHED, left=10, right=10, imu=100)
-    assert len(lines) == 1 and "12.0 ms apart" in lines[0]
+    assert len(lines) == 1 and lines[0].startswith("pairs of left and right: nothing for 1 s")
+    assert "12.0 ms apart" in lines[0]
     _, lines = look(watch, 1.6, PUBLISHED, left=15, right=15, imu=150)
     assert lines == []
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from ovmot.ros.inputs import STREAMS, InputTopic, why_silent
 
 SILENT_S = 1.0
-_REMIND_S = 30.0
-_REPORT_S = 5.0
-_PAIRS = "pairs"
+_REMIND_S = 30.0  # and after twice the time, and so on
+_REPORT_S = 5.0  # losses, and new reasons for a silence, no more often
+_PAIRS, _SUBJECT = "pairs", "pairs of left and right"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +28,28 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
-    """What was seen at the last look: counts, when each stream last grew, and what was said when.
+class _Said:
+    """What was last said of a silent stream, and after how long a silence."""
 
-    `silent_s` holds the silent streams, and when that was last said.
-    """
+    why: str
+    after_s: float
+
+    def is_enough(self, why: str, silent_s: float) -> bool:
+        """Is there nothing to add?"""
+        if why != self.why:
+            return silent_s < self.after_s + _REPORT_S
+        return silent_s < max(_REMIND_S, 2.0 * self.after_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What was seen at the last look: counts, when each stream last grew, what was said of those
+    that are silent."""
 
     topics: Mapping[str, InputTopic]
     counts: Counter[str]
     grew_s: Mapping[str, float]
-    silent_s: Mapping[str, float]
+    said: Mapping[str, _Said]
     reported_s: float
     reported: Counter[str]
 
@@ -54,37 +66,44 @@ class Watch:
             name: now_s if counts[name] > self.counts[name] else then
             for name, then in self.grew_s.items()
         }
-        silent = [name for name, then in grew_s.items() if now_s - then >= SILENT_S]
-        if "left" in silent or "right" in silent:
-            silent = [name for name in silent if name != _PAIRS]  # no wonder
-        due = [n for n in silent if now_s - self.silent_s.get(n, -_REMIND_S) >= _REMIND_S]
-        lines = [self._silence(name, now_s - grew_s[name], sight) for name in due]
+        silent_s = {name: now_s - then for name, then in grew_s.items() if now_s - then >= SILENT_S}
+        if "left" in silent_s or "right" in silent_s:
+            silent_s.pop(_PAIRS, None)  # no wonder
+        lines, said = [], {}
+        for name, duration_s in silent_s.items():
+            before = self.said.get(name)
+            why = self._why(name, sight, "" if before is None else before.why)
+            if before is not None and before.is_enough(why, duration_s):
+                said[name] = before
+                continue
+            said[name] = _Said(why, duration_s)
+            subject = _SUBJECT if name == _PAIRS else self.topics[name].name
+            lines.append(f"{subject}: nothing for {duration_s:.0f} s{why}")
         lines += [
-            f"{self.topics[name].name}: messages again"
+            f"{self.topics[name].name}: messages {'again' if self.counts[name] else 'come'}"
             for name in STREAMS
-            if name in self.silent_s and name not in silent
+            if name in self.said and name not in silent_s
         ]
-        silent_s = {name: now_s if name in due else self.silent_s[name] for name in silent}
-        seen = replace(self, counts=counts, grew_s=grew_s, silent_s=silent_s)
+        seen = replace(self, counts=counts, grew_s=grew_s, said=said)
         if now_s - self.reported_s < _REPORT_S:
             return seen, lines
         lines += _losses(counts, self.reported)
         return replace(seen, reported_s=now_s, reported=counts), lines
 
-    def _silence(self, name: str, silent_s: float, sight: Sight) -> str:
+    def _why(self, name: str, sight: Sight, before: str) -> str:
+        """What may be the reason of a silence, to go behind it; where nothing is known, as before.
+
+        How far apart stamps are changes with each pair: that is said once.
+        """
         if name == _PAIRS:
             apart = "unknown" if sight.apart_s is None else f"{1e3 * sight.apart_s:.1f} ms"
-            return (
-                f"left and right images do not make pairs: their stamps are {apart} apart; "
-                "see live.pair_tolerance_s"
-            )
-        line = f"{self.topics[name].name}: nothing for {silent_s:.0f} s"
+            return before or f": their stamps are {apart} apart; see live.pair_tolerance_s"
         topic, published = self.topics[name], sight.published
         if published is None:
-            return line
+            return before
         if not sight.counts[name]:
-            return f"{line}: {why_silent(topic, published)}"
-        return line if topic.name in published else f"{line}: nobody publishes it any more"
+            return f": {why_silent(topic, published)}"
+        return "" if topic.name in published else ": nobody publishes it any more"
 
 
 def _losses(counts: Counter[str], before: Counter[str]) -> list[str]:
