@@ -53,7 +53,7 @@ install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its ow
 	@test "$$($(BIN)/python -c '$(MINOR)')" = "$$($(DEBIAN_PYTHON) -c '$(MINOR)')" || { \
 		echo "ROS 1 is for Debian's own Python, and .venv has another: make clean, then make install-ros PYTHON=$(DEBIAN_PYTHON)" >&2; exit 1; }
 	@echo $(DEBIAN_PACKAGES) > $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz-debian-ros.pth
-	@{ $(BIN)/python -c 'import $(ROS_MODULES)' && command -v roscore rosbag rostopic; } >/dev/null || { \
+	@{ $(BIN)/python -c 'import $(ROS_MODULES)' && command -v roscore rosbag rostopic; } >/dev/null 2>&1 || { \
 		echo "ROS 1 is not all there: sudo apt-get install $(ROS_PACKAGES)" >&2; exit 1; }
 
 demo: install ## simulate a small street, run ovmot on it, say where the results are

@@ -1,15 +1,18 @@
 """The launch file, the RViz configuration and the Makefile name what the node has."""
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 import yaml
 
 from ovmot.ros.parameters import read_parameters
+from ovmot.ros.ros1_node import REMEDY
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.settings_file import load_settings
 
-FOLDER = Path(__file__).parents[2] / "ros"
+REPOSITORY = Path(__file__).parents[2]
+FOLDER = REPOSITORY / "ros"
 
 
 def test_the_launch_file_gives_parameters_that_the_node_knows() -> None:
@@ -36,3 +39,14 @@ def test_rviz_shows_topics_that_are_published() -> None:
         if key.endswith("Topic")
     }
     assert len(topics) == 6 and topics <= set(LIVE_TOPICS)
+
+
+def test_docs_makefile_and_node_name_the_same_packages() -> None:
+    def packages(text: str, start: str, end: str) -> set[str]:
+        return set(re.findall(r"python3-[a-z0-9-]+", text.partition(start)[2].partition(end)[0]))
+
+    makefile, docs = ((REPOSITORY / name).read_text() for name in ("Makefile", "docs/ros.md"))
+    wanted = packages(makefile, "ROS_PACKAGES :=", "\n\n")
+    assert len(wanted) == 9
+    assert packages(docs, "sudo apt-get install", "make install-ros") == wanted
+    assert set(re.findall(r"python3-[a-z0-9-]+", REMEDY)) < wanted

@@ -28,10 +28,10 @@ from ovmot.ros.worker import Worker
 from ovmot.settings_file import load_settings
 
 _IMAGE_BUFFER = 1 << 24  # rospy's own, 64 KiB, holds less than an image and then lags
-_REMEDY = (
+REMEDY = (
     "on Debian: apt-get install python3-rospy python3-sensor-msgs python3-nav-msgs "
     "python3-visualization-msgs python3-tf2-msgs python3-std-srvs, and let the virtual environment "
-    "see them (docs/ros.md)"
+    "see them: make install-ros (docs/ros.md)"
 )
 
 
@@ -136,7 +136,7 @@ def _import_rospy() -> Any:
         import tf2_msgs.msg  # noqa: F401
         import visualization_msgs.msg  # noqa: F401
     except ImportError as error:
-        raise InputError(f"ROS 1 is not there ({error}); {_REMEDY}") from None
+        raise InputError(f"ROS 1 is not there ({error}); {REMEDY}") from None
     return rospy
 
 
