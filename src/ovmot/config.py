@@ -352,7 +352,7 @@ class LiveSettings(Section):
     pair_tolerance_s: float = Field(0.005, ge=0.0)
     """Left and right image are a pair when their stamps differ by no more than this."""
     queue_frames: int = Field(5, ge=1)
-    """Frames that may wait for the pipeline; when there are more, the oldest is dropped."""
+    """Frames that may wait, beside those held for the IMU; of more, the oldest is dropped."""
     hold_s: float = Field(3.0, gt=0.0)
     """A hole in the IMU up to this long is gone through, its frames held; after more, a restart."""
     jump_s: float = Field(0.5, gt=0.0)
