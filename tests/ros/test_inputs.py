@@ -25,7 +25,7 @@ def test_topics_have_full_names_and_the_types_that_their_names_tell() -> None:
 @pytest.mark.parametrize(
     ("published", "said"),
     [
-        ({"/left": "sensor_msgs/Image"}, "it is published, but nothing is sent"),
+        ({"/left": "sensor_msgs/Image"}, "it is published, but nothing comes"),
         ({"/left": "std_msgs/String"}, "it is a std_msgs/String, expected is sensor_msgs/Image"),
         ({"/imu": "sensor_msgs/Imu"}, "nobody publishes it, nor any other sensor_msgs/Image"),
         (

@@ -48,7 +48,7 @@ def why_silent(topic: InputTopic, published: Mapping[str, str]) -> str:
     """What the topics that are published, by their types, tell of one where nothing comes."""
     type_name = published.get(topic.name)
     if type_name == topic.type_name:
-        return "it is published, but nothing is sent"
+        return "it is published, but nothing comes"
     if type_name is not None:
         return f"it is a {type_name}, expected is {topic.type_name}"
     others = [
