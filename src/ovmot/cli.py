@@ -27,6 +27,7 @@ from ovmot.commands.console import (
     printable,
     progress,
     say,
+    say_if_first_use,
     show,
     stages,
 )
@@ -47,7 +48,6 @@ from ovmot.datasets.registry import open_recording
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
-from ovmot.kernel_cache import is_first_use
 from ovmot.openvins import load_run_config
 from ovmot.outputs.run_writer import Output, RunContext
 from ovmot.ros.bag_output import BagOutput
@@ -167,8 +167,7 @@ def run(
         out, _ego_poses(ego), save_points, video, force, first, last, masks, more, given.mask_files
     )
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    if is_first_use(Path(ovmot.__file__).parent):
-        say("ovmot: the first run on this machine compiles some code; that takes up to a minute")
+    say_if_first_use()
     with (
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import typer
 from rich.console import Console
@@ -18,6 +19,9 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+import ovmot
+from ovmot.kernel_cache import is_first_use
+
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 NOTHING_WRITTEN = "nothing was written"
 _WIDE = 160
@@ -31,6 +35,12 @@ def say(line: str) -> None:
 def printable(line: str) -> str:
     """What a file or its name makes us say can not steer the terminal, nor is it always UTF-8."""
     return "".join(c if c.isprintable() else "?" for c in line)
+
+
+def say_if_first_use() -> None:
+    """Say that code is compiled, where this is the first run on a machine."""
+    if is_first_use(Path(ovmot.__file__).parent):
+        say("ovmot: the first run on this machine compiles some code; that takes up to a minute")
 
 
 def show(table: Table) -> None:

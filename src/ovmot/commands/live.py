@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ovmot.commands.console import interruptible
+from ovmot.commands.console import interruptible, say_if_first_use
 from ovmot.commands.options import SetOption
 from ovmot.errors import InputError
 from ovmot.ros import ros1_node, ros2_node
@@ -30,6 +30,7 @@ def ros(
     if strange:
         raise InputError(f"{strange[0]}: neither an option nor a remapping a:=b")
     prepare_process()
+    say_if_first_use()
     with interruptible("the node has ended"):
         ros1_node.run_node(config, calibration, tuple(set_ or ()))
 
@@ -44,5 +45,6 @@ def ros2(
 ) -> None:
     """Run live on ROS 2: two image topics and an IMU in, odometry and objects out."""
     prepare_process()
+    say_if_first_use()
     with interruptible("the node has ended"):
         ros2_node.run_node(config, calibration, tuple(set_ or ()), tuple(arguments or ()))
