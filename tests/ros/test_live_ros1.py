@@ -24,7 +24,7 @@ from ovmot.config import Settings
 from ovmot.datasets.registry import open_sequence
 from ovmot.evaluate import evaluate_run
 from ovmot.ros.messages import OBJECTS, ODOMETRY
-from ovmot.ros.sequence_bag import IMU, write_sequence_bag
+from ovmot.ros.sequence_bag import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
 from ovmot.types import ImuData
@@ -55,8 +55,33 @@ class Ros:
             "ROS_HOME": str(folder / "ros_home"),
         }
         self._started: list[subprocess.Popen[bytes]] = []
-        self.start("roscore", "-p", str(port))
+        self._core = ("roscore", "-p", str(port))
+        self.master = self.start_master()
+
+    def start_master(self) -> subprocess.Popen[bytes]:
+        """A master at the port; it knows nobody."""
+        master = self.start(*self._core)
         self.wait_for("master", lambda: self.call("rostopic", "list") is not None)
+        return master
+
+    def start_node(self, sequence: Path, *options: str) -> subprocess.Popen[bytes]:
+        """The live node, when it listens; it must be the first after the master."""
+        command = ("-m", "ovmot", "ros", "--calibration", str(sequence), *options)
+        node = self.start(sys.executable, *command)
+        self.wait_for("the node", lambda: "/ovmot" in (self.call("rostopic", "info", IMU) or ""))
+        return node
+
+    def play(self, bag: Path, *options: str) -> None:
+        """Play a bag to its end."""
+        subprocess.run(
+            ["rosbag", "play", "-q", "--delay=1", "-r", str(RATE), *options, str(bag)],
+            env=self.environment, check=True, timeout=300, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def end_node(self, node: subprocess.Popen[bytes]) -> str:
+        """Ctrl-C, and what the node has said."""
+        assert self.stop(node) == 130
+        return (self.folder / "python_1.log").read_text()
 
     def start(self, *command: str) -> subprocess.Popen[bytes]:
         log = self.folder / f"{Path(command[0]).name}_{len(self._started)}.log"
@@ -115,20 +140,15 @@ def offline(sequence: Any, out: Path) -> None:
 
 def played(ros: Ros, sequence: Path, bags: Mapping[Path, tuple[str, ...]]) -> tuple[Path, str]:
     """Bag of the results, and the node's words, after bags were played with options."""
-    node = ros.start(sys.executable, "-m", "ovmot", "ros", "--calibration", str(sequence))
-    ros.wait_for("the node", lambda: "/ovmot" in (ros.call("rostopic", "info", IMU) or ""))
+    node = ros.start_node(sequence)
     results = ros.folder / "results.bag"
     recorder = ros.start("/usr/lib/rosbag/record", "-O", str(results), ODOMETRY, OBJECTS)
     ros.wait_for("the recorder", lambda: "record" in (ros.call("rostopic", "info", OBJECTS) or ""))
     for bag, options in bags.items():
-        subprocess.run(
-            ["rosbag", "play", "-q", "--delay=1", "-r", str(RATE), *options, str(bag)],
-            env=ros.environment, check=True, timeout=300, stdout=subprocess.DEVNULL,
-        )  # fmt: skip
+        ros.play(bag, *options)
     time.sleep(3.0)
     ros.stop(recorder)
-    assert ros.stop(node) == 130
-    return results, (ros.folder / "python_1.log").read_text()
+    return results, ros.end_node(node)
 
 
 def as_run(results: Path, out: Path) -> list[int]:
@@ -231,3 +251,19 @@ def test_without_the_imu_for_two_seconds(ros: Ros, street: Path, tmp_path: Path)
     as_run(results, tmp_path / "live")
     check(tmp_path / "live", tmp_path / "offline", street, words, "IMU cut")
     assert "/imu0: nothing for" in words and "/imu0: messages again" in words
+
+
+def test_a_new_master_is_used_and_a_wrong_name_is_said_with_the_right_ones(
+    ros: Ros, street: Path, tmp_path: Path
+) -> None:
+    bag = tmp_path / "street.bag"
+    write_sequence_bag(bag, open_sequence(street))
+    node = ros.start_node(street, "--set", "live.right=/nowhere")
+    ros.stop(ros.master)
+    ros.start_master()
+    ros.play(bag, "-u", str(PART_S))
+    words = ros.end_node(node)
+    assert "the ROS master is gone" in words and "there is a ROS master again" in words
+    assert f"{LEFT}: messages come" in words and f"{IMU}: messages come" in words
+    assert "/nowhere: nothing for" in words
+    assert f"topics of sensor_msgs/Image: {LEFT}, {RIGHT}" in words
