@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ovmot.config import TrackerSettings
-from ovmot.frontend.flow import build_pyramid, follow, follow_lost
+from ovmot.frontend.flow import build_pyramid, follow, follow_lost, likest_places
 from ovmot.frontend.klt_kernel import margin_of
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 
@@ -160,3 +160,12 @@ def test_a_pyramid_stops_at_the_size_of_its_window() -> None:
     sides = [tuple(side - 2 * margin for side in level.shape) for level in pyramid.levels]
     assert sides == [(50, 80), (25, 40), (13, 20)]
     assert len(build_pyramid(np.zeros((9, 9), dtype=np.uint8), settings).levels) == 1
+
+
+def test_patches_are_found_farther_than_flow_reaches(texture: AnyArray) -> None:
+    before, after = (build_pyramid(picture(texture, s), SETTINGS) for s in ((0, 0), (36, 4)))
+    points = np.array([[120.0, 90.0], [180.0, 110.0], [1.0, 1.0]])
+    found = likest_places(before, after, points, points, 60.0)
+    np.testing.assert_allclose(found[:2] - points[:2], [[36.0, 4.0]] * 2, atol=1.01)
+    assert np.isnan(found[2]).all()  # its patch is not all in the picture
+    assert np.isnan(likest_places(before, after, points, points, 20.0)).all()

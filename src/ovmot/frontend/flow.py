@@ -15,6 +15,8 @@ from ovmot.config import TrackerSettings
 from ovmot.frontend.klt_kernel import BACK_LEVELS, follow_points_compiled, margin_of
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 
+_SEARCHED_HALF = 4  # pixels of the half-size image around a patch that is searched for
+_LEAST_ALIKE = 0.8  # correlation
 _COMMON, _UNLIKE = 0.9, 2.0  # a find is chance beyond twice what nine in ten are unlike
 
 
@@ -93,6 +95,36 @@ def follow_lost(
         uv[lost], unlikeness[lost] = again.uv, again.unlikeness
         found[lost] = again.found & (again.unlikeness < bound)
     return Flow(uv, found, unlikeness)
+
+
+def likest_places(
+    source: Pyramid, target: Pyramid, points: FloatArray, around: FloatArray, reach_px: float
+) -> FloatArray:
+    """Where in `target` the patches of `points` (N, 2) of `source` are likest (N, 2), NaN for none.
+
+    They are sought `reach_px` to either side of places (N, 2), a quarter of it up and down: bodies
+    go along the ground. On the half-size image, by correlation; flow only finds what is not much
+    farther than its window is wide.
+    """
+    found = np.full(points.shape, np.nan)
+    if len(source.levels) < 2:
+        return found
+    margin, half = margin_of(source.window), _SEARCHED_HALF
+    before, after = source.levels[1], target.levels[1]
+    size = np.array(after.shape[::-1])
+    reach = (np.array([0.5, 0.125]) * reach_px).astype(np.int64) + half
+    centre = (0.5 * points).round().astype(np.int64) + margin
+    middle = (0.5 * around).round().astype(np.int64) + margin
+    low, high = np.maximum(middle - reach, 0), np.minimum(middle + reach + 1, size)
+    inside = ((centre >= half) & (centre < size - half) & (high - low > 2 * half)).all(axis=1)
+    for k in np.flatnonzero(inside):
+        (u, v), (left, top), (right, bottom) = centre[k], low[k], high[k]
+        patch = before[v - half : v + half + 1, u - half : u + half + 1]
+        score = cv2.matchTemplate(after[top:bottom, left:right], patch, cv2.TM_CCOEFF_NORMED)
+        _, best, _, corner = cv2.minMaxLoc(score)
+        if best > _LEAST_ALIKE:
+            found[k] = points[k] + 2.0 * (low[k] + np.array(corner) + half - centre[k])
+    return found
 
 
 def _follow_halves(
