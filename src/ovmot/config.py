@@ -302,7 +302,9 @@ class ObjectSettings(Section):
     min_speed_mps: float = Field(0.5, ge=0.0)
     """Bodies slower than this are not measured."""
     max_speed_sigma_mps: float = Field(1.5, gt=0.0)
-    """Nor are those whose speed is known no better."""
+    """Nor do directions count in which their velocity is known no better."""
+    max_height_m: float = Field(4.5, gt=0.0)
+    """Nor are those that are higher above the cameras, and a tenth of their distance for slopes."""
     static_test: Literal["covariance", "fixed"] = "covariance"
     """Refuse static motions by the velocity's covariance, or by the fixed thresholds below."""
     static_false_alarm: float = Field(1e-4, gt=0.0, lt=0.5)

@@ -105,6 +105,24 @@ def test_what_stands_is_refused_whatever_its_label(seen: Callable[..., Found], t
     assert len(seen(walker, 0, settings)) == 1
 
 
+def test_a_far_body_is_measured_though_only_what_crosses_is_known(
+    seen: Callable[..., Found],
+) -> None:
+    noisy = CALM.model_copy(update={"max_speed_sigma_mps": 0.2})
+    (found,) = seen([(35.0, 0.0, np.array([0.0, 8.0, 0.0]), 0.0, 8)], settings=noisy)
+    sigma = np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1])
+    assert sigma > noisy.max_speed_sigma_mps
+    assert found.velocity[1] == pytest.approx(8.0, abs=0.5)
+    assert seen([(35.0, 0.0, np.array([8.0, 0.0, 0.0]), 0.0, 8)], settings=noisy) == ()
+
+
+def test_what_is_high_up_is_no_road_user(seen: Callable[..., Found]) -> None:
+    bodies = [(20.0, 0.0, np.array([0.0, 5.0, 0.0]), 0.0, 12)]
+    assert len(seen(bodies)) == 1
+    low = CALM.model_copy(update={"max_height_m": -3.0})  # as if the road were 7.5 m lower
+    assert seen(bodies, settings=low) == ()
+
+
 def test_two_points_are_no_body(seen: Callable[..., Found]) -> None:
     assert seen([(12.0, 0.0, np.array([8.0, 0.0, 0.0]), 0.0, 2)]) == ()
 

@@ -9,6 +9,7 @@ from ovmot.objects.static_motion import (
     FoundMotion,
     is_static_by_covariance,
     is_static_by_thresholds,
+    known_part,
 )
 
 POINTS = np.array([[-1.0, 0.2, 15.0], [0.5, -0.3, 15.5], [0.2, 0.6, 16.0], [0.9, 0.1, 15.2]])
@@ -27,6 +28,19 @@ def test_covariance_decides_by_the_share_of_noise(
     # 1 m/s at 21.1 = 99.99 % of chi-squared with 3 degrees of freedom: 4.59 sigmas
     motion = FoundMotion(np.array([1.0, 0.0, 0.0]), sigma**2 * np.eye(3), POINTS, POINTS)
     assert is_static_by_covariance(motion, rig, TOLD) is static
+
+
+def test_directions_in_which_little_is_known_do_not_count(rig: StereoRig) -> None:
+    ray = np.array([0.6, 0.0, 0.8])
+    across = np.array([0.8, 0.0, -0.6])
+    C = 0.1**2 * np.eye(3) + 5.0**2 * np.outer(ray, ray)
+    known, variance = known_part(40.0 * ray + 2.0 * across, C, 1.5)
+    assert np.linalg.norm(known) == pytest.approx(2.0)
+    np.testing.assert_allclose(variance, 0.01)
+    along = FoundMotion(40.0 * ray, C, POINTS, POINTS)  # eight sigmas, that mean nothing there
+    assert is_static_by_covariance(along, rig, TOLD)
+    assert not is_static_by_covariance(FoundMotion(2.0 * across, C, POINTS, POINTS), rig, TOLD)
+    assert is_static_by_covariance(FoundMotion(across, 9.0 * np.eye(3), POINTS, POINTS), rig, TOLD)
 
 
 def test_thresholds_want_metres_and_pixels(rig: StereoRig) -> None:

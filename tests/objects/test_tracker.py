@@ -74,7 +74,8 @@ def measure(
     return ObjectMeasurement(
         feature_id=body.feature_id, p_world=body.points + position, position=position + e[:3],
         velocity=velocity + e[3:], yaw_rate=body.yaw_rate + rng.normal(0.0, 0.05),
-        T_now_before=np.eye(4), span_s=0.1, covariance=P, yaw_rate_variance=0.05**2, size=SIZE,
+        T_now_before=np.eye(4), span_s=0.1, covariance=P, excess=np.zeros((6, 6)),
+        yaw_rate_variance=0.05**2, size=SIZE,
     )  # fmt: skip
 
 
@@ -206,7 +207,11 @@ def test_two_bodies_side_by_side_do_not_swap() -> None:
             assert np.linalg.norm(by_id[k].position - two[k].motion(t)[0]) < 0.6
 
 
-def test_what_is_measured_once_is_never_confirmed() -> None:
+def _few(measurement: ObjectMeasurement) -> ObjectMeasurement:
+    return replace(measurement, feature_id=measurement.feature_id[:4])
+
+
+def test_few_features_measured_once_are_never_confirmed() -> None:
     rng = np.random.default_rng(5)
     tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     for k in range(30):
@@ -215,7 +220,7 @@ def test_what_is_measured_once_is_never_confirmed() -> None:
             x, y, vx, vy = rng.uniform([8.0, -8.0, -6.0, -6.0], [30.0, 8.0, 6.0, 6.0])
             ghost = body(x, y, vx, vy, 20 * k)
             ghost_seen = measure(ghost, 0.0, rng)
-            found = [] if ghost_seen is None else [ghost_seen]
+            found = [] if ghost_seen is None else [_few(ghost_seen)]
         tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([], 0.0, rng), T_WORLD_CAM0)
         assert not confirmed(tracks)
 

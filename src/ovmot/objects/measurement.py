@@ -17,10 +17,12 @@ from ovmot.objects.grouping import (
 )
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
-from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion
+from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion, known_part
 from ovmot.tracks import TrackTable
 from ovmot.types import PoseWindow, ScenePoints
 
+_LEAK = 0.3  # of a wrong motion along the ray, across it: rays of a body differ in direction
+_STEEPEST = 0.1  # slope of a road
 _YAW_KNOWN = 0.5  # of the prior's standard deviation: where the points have told something
 _DEPTH_SIGNAL = 3.0  # variance of depths by that of noise, from which turns are told
 _FEW = 4  # points that may be a part of a body, though their group is another
@@ -39,7 +41,8 @@ class ObjectMeasurement:
     about world z in rad/s, NaN where the points are too few or too close together to tell, with
     its variance. `T_now_before` (4, 4): motion in world over `span_s`, p_now = T p_before.
     `covariance` (6, 6) of position and velocity, with the ego poses' part at both times; it knows
-    how well the seen points are known, not how they lie on the body. `size` (3,): length, width,
+    how well the seen points are known, not how they lie on the body. `excess` (6, 6): the part of
+    it that is noise which was told, but does not show in the misfit. `size` (3,): length, width,
     height of the box of the points, along the heading.
     """
 
@@ -51,6 +54,7 @@ class ObjectMeasurement:
     T_now_before: FloatArray
     span_s: float
     covariance: FloatArray
+    excess: FloatArray
     yaw_rate_variance: float
     size: FloatArray
 
@@ -107,7 +111,7 @@ def measure_objects(
     is_static = STATIC_TESTS[settings.static_test]
     bodies: list[_Body] = []
     for k, body in zip(enough, measured, strict=True):
-        if not _tells(body, settings):
+        if not _is_fast(body, settings) or _is_aloft(body, views.T_world_cam0[-1, 0], settings):
             continue
         if not is_static(_as_found(body, T_cam0_world), rig, settings):
             owner = main_owner(history.owner[index[members[k]]])
@@ -115,13 +119,27 @@ def measure_objects(
     return _without_parts(bodies, settings)
 
 
-def _tells(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
-    """Is a body fast enough, and its speed known well enough, to be a measurement?"""
+def _is_fast(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
+    """Is what is known of a body's velocity fast enough to be a measurement?
+
+    And more than the rest would leave in it, were the points to slide along their rays.
+    """
     v = body.velocity
-    squared = float(v @ v)
-    variance = float(v @ body.covariance[3:, 3:] @ v) / max(squared, 1e-12)
-    fast = squared > settings.min_speed_mps**2
-    return fast and variance < settings.max_speed_sigma_mps**2
+    known, _ = known_part(v, body.covariance[3:, 3:], settings.max_speed_sigma_mps)
+    squared = float(known @ known)
+    rest = max(float(v @ v) - squared, 0.0)
+    return squared > max(settings.min_speed_mps**2, _LEAK**2 * rest)
+
+
+def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray, settings: ObjectSettings) -> bool:
+    """Is a body higher than road users are?
+
+    Windows that are all matched to their neighbours stand at ρ times their distance, and seem to go
+    at ρ - 1 times the rig's speed, towards it: a rigid motion, that only the height betrays.
+    """
+    off = np.median(body.p_world, axis=0) - T_world_cam0[:3, 3]
+    slope_m = _STEEPEST * float(np.hypot(off[0], off[1]))
+    return bool(off[2] > settings.max_height_m + slope_m)
 
 
 def _shows_turns(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
@@ -212,6 +230,7 @@ def _measurements(
         J[3:, :3], J[3:, 3:] = -so3.hat(position - views.origin[k]), np.eye(3)
         covariance = J @ refined.covariance[k] @ J.T
         covariance[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
+        excess = (1.0 - refined.misfit[k]) * covariance
         covariance[3:, 3:] += accel[k] * np.eye(3)
         variance = float(refined.covariance[k, 2, 2]) if may_turn[k] else prior
         known = variance < _YAW_KNOWN**2 * prior
@@ -225,6 +244,7 @@ def _measurements(
                 T_now_before=T_now_before[k],
                 span_s=float(span[k]),
                 covariance=covariance,
+                excess=excess,
                 yaw_rate_variance=variance,
                 size=size,
             )

@@ -23,6 +23,7 @@ _WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
 _SMALL_STEP = 0.02  # squared sigmas: of a step after which the next one is nothing
 _HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
 _OUTLIER_SHARE = 0.001  # of good points that count as wrong
+_PRIOR_FREEDOM = 20.0  # degrees of freedom that the noise told counts for
 _MIN_INVERSE_DEPTH = 1e-3
 
 
@@ -56,6 +57,8 @@ class RefinedBodies:
     """`twist` (B, 6) as (ω, v), `covariance` (B, 6, 6), points `p_world` (M, 3), `inlier` (M,).
 
     `point_cov` (M, 3, 3): of the points for given twists; `by_twist` (M, 3, 6): how they follow it.
+    `misfit` (B,), up to 1: the variance of the noise as the points show it, as a share of what was
+    told.
     """
 
     twist: FloatArray
@@ -64,6 +67,7 @@ class RefinedBodies:
     inlier: BoolArray
     point_cov: FloatArray
     by_twist: FloatArray
+    misfit: FloatArray
 
 
 def refine_bodies(
@@ -108,11 +112,12 @@ def refine_bodies(
         squared_step = (step * gradient).sum(1)  # δᵀ N δ with N δ = g
         if not wide and squared_step.max() < _SMALL_STEP:
             break
-    # Misfit beyond the noise told widens the covariance; less misfit does not narrow it.
+    # Misfit beyond the noise told widens the covariance; less misfit is only reported.
     kept = np.where(reduced.inlier, 1.0, 0.0)
     total = np.bincount(views.body, reduced.weight * reduced.left, n_bodies)
     free = np.bincount(views.body, kept * freedom, n_bodies)
     widen = np.maximum(1.0, total / np.maximum(free, 1.0))[:, None, None]
+    misfit = np.minimum(1.0, (total + _PRIOR_FREEDOM) / (free + _PRIOR_FREEDOM))
     to_world, p_world = _world_points(point, views)
     return RefinedBodies(
         twist=twist,
@@ -121,6 +126,7 @@ def refine_bodies(
         inlier=reduced.inlier,
         point_cov=to_world @ reduced.N_inverse @ np.swapaxes(to_world, -1, -2),
         by_twist=to_world @ -np.swapaxes(reduced.K, -1, -2),
+        misfit=misfit,
     )
 
 

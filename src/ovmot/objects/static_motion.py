@@ -28,10 +28,28 @@ StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings], bool]
 
 
 def is_static_by_covariance(motion: FoundMotion, rig: StereoRig, settings: ObjectSettings) -> bool:
-    """Chi-squared test of no velocity; the covariance holds the points' and the poses' part."""
-    v = motion.velocity
-    distance = float(v @ np.linalg.solve(motion.covariance, v))
-    return distance < float(chdtri(3, settings.static_false_alarm))
+    """Chi-squared test of no velocity, in the directions in which it is known.
+
+    The covariance holds the points' and the poses' part.
+    """
+    v, variance = known_part(motion.velocity, motion.covariance, settings.max_speed_sigma_mps)
+    if len(v) == 0:
+        return True
+    return float((v**2 / variance).sum()) < float(chdtri(len(v), settings.static_false_alarm))
+
+
+def known_part(
+    velocity: FloatArray, covariance: FloatArray, max_sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Components (k,) of a velocity (3,) along those principal axes of its covariance (3, 3) in
+    which it is known to `max_sigma`, and their variances (k,).
+
+    Far away the rest is along the ray, where the errors of patches are not white: they slide
+    together.
+    """
+    variance, axes = np.linalg.eigh(covariance)
+    known = variance < max_sigma**2
+    return axes.T[known] @ velocity, variance[known]
 
 
 def is_static_by_thresholds(motion: FoundMotion, rig: StereoRig, settings: ObjectSettings) -> bool:

@@ -10,7 +10,7 @@ from ovmot.config import ObjectTrackSettings
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.id_sets import union
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import VELOCITY, Agility
+from ovmot.objects.motion_models import N_STATE, VELOCITY, Agility
 from ovmot.objects.object_filter import (
     BodyFilter,
     Observation,
@@ -27,6 +27,11 @@ DRIVES_MPS = 3.0
 """Faster than who walks."""
 _MOVING_MPS = 0.5  # slower, the velocity has no direction
 _MANY_FEATURES = 5  # that move together are no chance: two measurements are enough
+_SURELY_MOVES = 40.0  # squared sigmas from rest: less than 1e-8 by chance, as two measurements
+_ACROSS = 0.5  # of the velocity along the ray, that one across it must be at least
+_ROAD_USER = Observation(  # what is known of a velocity before it is measured
+    np.eye(3, N_STATE, VELOCITY.start), np.zeros(3), np.diag([10.0, 10.0, 0.5]) ** 2
+)
 _GROWTH = 0.5  # share of the way to a greater size that a measurement makes
 _SHRINK = 0.97  # of the size, where a measurement shows less
 _BIGGEST = np.array([20.0, 4.0, 5.0])
@@ -87,9 +92,10 @@ def as_observation(
 
     The middle of the seen points may lie anywhere on the body. Motions over a span longer than the
     time since the last measurement, `dt_s`, share most of what they saw: their variance grows by
-    the number of measurements that fall into the span.
+    the number of measurements that fall into the span. Whether a body moves was asked with all the
+    noise that was told; how fast, only with what the points show of it.
     """
-    R = measurement.covariance.copy()
+    R = measurement.covariance - measurement.excess
     R[:3, :3] += _slide(size) ** 2 * np.eye(3)
     again = 1.0
     if dt_s is not None:
@@ -102,15 +108,20 @@ def as_observation(
 
 
 def start_track(track_id: int, now_ns: int, measurement: ObjectMeasurement) -> Track:
-    """A tentative track from a measurement that belongs to no other."""
+    """A track from a measurement that belongs to no other.
+
+    Where the measurement tells little of the velocity, along the ray from far, the velocities that
+    road users have tell more.
+    """
     size = measurement.size
+    body = update(start_filter(now_ns, as_observation(measurement, size, None)), _ROAD_USER)
     return Track(
         track_id=track_id,
-        state=TrackState.TENTATIVE,
-        filter=start_filter(now_ns, as_observation(measurement, size, None)),
+        state=TrackState.CONFIRMED if _is_sure(measurement) else TrackState.TENTATIVE,
+        filter=body,
         offset=np.zeros(3),
         size=np.minimum(size, _BIGGEST),
-        yaw=float(np.arctan2(measurement.velocity[1], measurement.velocity[0])),
+        yaw=_heading(body.best.state[VELOCITY]),
         feature_id=np.sort(measurement.feature_id),
         born_ns=now_ns,
         measured_ns=now_ns,
@@ -118,6 +129,22 @@ def start_track(track_id: int, now_ns: int, measurement: ObjectMeasurement) -> T
         hits=1,
         evidence=0.0,
     )
+
+
+def _heading(velocity: FloatArray) -> float:
+    return float(np.arctan2(velocity[1], velocity[0]))
+
+
+def _is_sure(measurement: ObjectMeasurement) -> bool:
+    """Do many features move together, across that direction in which they are known worst?
+
+    That is the ray's: along it, patches may slide together.
+    """
+    variance, axes = np.linalg.eigh(measurement.covariance[3:, 3:])
+    squared = (axes.T @ measurement.velocity) ** 2
+    from_rest = float((squared[:2] / variance[:2]).sum())
+    across = float(squared[:2].sum()) > _ACROSS**2 * float(squared[2])
+    return len(measurement.feature_id) >= _MANY_FEATURES and from_rest > _SURELY_MOVES and across
 
 
 def carried(track: Track, now_ns: int, settings: ObjectTrackSettings) -> Track:
@@ -188,7 +215,7 @@ def measured(
         filter=body,
         offset=measurement.position - body.best.state[:3],
         size=np.minimum(size, _BIGGEST),
-        yaw=float(np.arctan2(velocity[1], velocity[0])) if fast else track.yaw,
+        yaw=_heading(velocity) if fast else track.yaw,
         feature_id=union(track.feature_id, measurement.feature_id),
         measured_ns=now_ns,
         updated_ns=now_ns,
