@@ -336,6 +336,8 @@ class ObjectTrackSettings(Section):
     """Time that they must span."""
     missed_s: float = Field(0.15, ge=0.0)
     """Missed for no longer than this, a confirmed track is still called confirmed."""
+    place_sigma_m: float = Field(0.5, ge=0.0)
+    """Missed for longer too, while its place in view is known to this standard deviation."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""
     merge_frames: int = Field(3, ge=1)

@@ -175,7 +175,7 @@ def test_an_occluded_body_keeps_its_id() -> None:
     hidden = body(10.0, -8.0, 0.5, 6.0, hidden_s=(1.0, 2.5))
     after = replace(hidden, first_id=100)  # what comes back has new features
     rng = np.random.default_rng(3)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(place_sigma_m=0.5))
     states = []
     for k in range(40):
         t = 0.1 * k
@@ -185,8 +185,48 @@ def test_an_occluded_body_keeps_its_id() -> None:
         tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([now], t, rng), T_WORLD_CAM0)
         assert {track.track_id for track in tracks} <= {0}
         states.append(tracks[0].state if tracks else "gone")
-    assert states[12:24] == ["coasting"] * 12
+    coasts = states.index("coasting")
+    assert 12 < coasts < 18  # it is known for a while where it is, though it is not seen
+    assert states[coasts:24] == ["coasting"] * (24 - coasts)
     assert states[26:] == ["confirmed"] * 14
+
+
+def test_out_of_the_picture_a_body_coasts_at_once() -> None:
+    leaves = body(10.0, 2.0, 0.0, 8.0, hidden_s=(0.8, 9.0))  # y = 8.4 m: past the left edge
+    states = [tracks[0].state for _, tracks, _ in run([leaves], 1.5) if tracks]
+    assert states[6] == "confirmed"
+    assert states[11:] == ["coasting"] * len(states[11:])
+
+
+def test_features_of_one_camera_go_on_with_a_body() -> None:
+    """Without a measurement and without stereo: it goes behind what only the right camera sees."""
+    rng = np.random.default_rng(5)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(missed_s=0.0, place_sigma_m=0.0))
+    walker = body(10.0, -2.0, 0.0, 1.5)
+    for k in range(20):
+        t = 0.1 * k
+        points = scene_points([walker], t, rng)
+        measurement = measure(walker, t, rng) if k < 10 else None
+        if k >= 10:
+            points = replace(points, p_cam0=np.full_like(points.p_cam0, np.nan))
+        found = [] if measurement is None else [measurement]
+        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0)
+    assert track.state == "confirmed"
+    assert np.linalg.norm(track.velocity - [0.0, 1.5, 0.0]) < 0.4
+    assert np.linalg.norm(track.position - walker.motion(1.9)[0]) < 0.5
+
+
+def test_features_left_behind_do_not_stop_a_fast_body() -> None:
+    rng = np.random.default_rng(6)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    car = body(15.0, 0.0, 0.0, 5.0)
+    for k in range(16):
+        now = min(0.1 * k, 1.0)  # from then on its features stay where they are
+        measurement = measure(car, now, rng) if k <= 10 else None
+        found = [] if measurement is None else [measurement]
+        points = scene_points([car], now, rng)
+        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0)
+    assert track.velocity[1] > 4.0
 
 
 def test_unseen_for_long_it_is_gone_and_its_id_never_comes_back() -> None:

@@ -13,24 +13,19 @@ from ovmot.objects.association import associate, shared_share
 from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body_of, follow, join
 from ovmot.objects.id_sets import contained, union, without
 from ovmot.objects.measurement import ObjectMeasurement
+from ovmot.objects.merging import BESIDE_NS, merged
 from ovmot.objects.motion_models import VELOCITY, YAW_RATE
 from ovmot.objects.object_filter import distance, observe, update
+from ovmot.objects.one_view import placed_by_tracks
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.region import inside
-from ovmot.objects.track import DRIVES_MPS, Track, TrackState, carried, gaps, measured, start_track
+from ovmot.objects.track import Track, TrackState, carried, gaps, measured, start_track
 from ovmot.types import ObjectTrack, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
-_SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
-_ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _MAX_ACCEL, _SIGMAS = 8.0, 3.0  # m/s²: a car on its brakes
-_MIN_FOUND = 3  # features that go as a track should, where it should be, are the track
-_LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
-_FEW_OF_MANY = 0.1
-_GAP_M = 2.5  # without features, between two ends of a lorry
-_BODY_WIDTH_M = 3.2  # boxes of few points are too wide
-_WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
+_MIN_FOUND = 2  # features that go as a track should, where it should be, are the track
 
 
 class ObjectTracker:
@@ -42,6 +37,7 @@ class ObjectTracker:
         self._tracks: tuple[Track, ...] = ()
         self._sightings = Sightings()
         self._next_id = 0
+        self._last_ns = 0
         self._speeds = speeds_of(0, ())
 
     def step(
@@ -56,20 +52,21 @@ class ObjectTracker:
         A point that nothing else was known of moves where its track does.
         """
         settings = self._settings
-        motions = self._sightings.add(timestamp_ns, seen, T_world_cam0)
-        # 1 where every track should be now
+        # 1 where every track should be now, and how each feature has moved
         tracks = [carried(track, timestamp_ns, settings) for track in self._tracks]
+        motions = self._motions(timestamp_ns, seen, tracks, T_world_cam0)
         # 2 which measurement is whose
         pairs = _pairs(tracks, measurements, timestamp_ns)
         taken = {j for _, j in pairs}
         own = dict(pairs)
         # 3 correct: by the measurement, else by the features that go as the track should
-        owner = _owner(tracks, seen.feature_id)
+        near = inside(tracks, motions.p_world, motions.position_cov)
+        free = _free(tracks, near, _owner(tracks, seen.feature_id))
         for i, track in enumerate(tracks):
             tracks[i] = (
                 measured(track, measurements[own[i]], timestamp_ns, settings)
                 if i in own
-                else _followed(track, motions, owner, timestamp_ns)
+                else _followed(track, motions, near[i], free[i], timestamp_ns)
             )
         # 4 new ones
         for j, measurement in enumerate(measurements):
@@ -81,7 +78,7 @@ class ObjectTracker:
         owner = _owner(alive, seen.feature_id)
         near = inside(alive, motions.p_world, motions.position_cov)
         alive = [_joined(t, motions, owner, at) for t, at in zip(alive, near, strict=True)]
-        self._tracks = _merged(_with_own_features(alive, seen), settings)
+        self._tracks = merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
         shown = tuple(
             _as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
@@ -90,6 +87,21 @@ class ObjectTracker:
         before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)
         points = label_points(timestamp_ns, seen, owner, self._tracks, motions, before)
         return shown, points
+
+    def _motions(
+        self,
+        timestamp_ns: int,
+        seen: ScenePoints,
+        tracks: Sequence[Track],
+        T_world_cam0: FloatArray,
+    ) -> FeatureMotions:
+        """Of the features of this frame; for those of tracks the left camera is enough."""
+        since_s = 1e-9 * (timestamp_ns - self._last_ns)
+        placed = placed_by_tracks(
+            seen, tracks, self._sightings.last, since_s, T_world_cam0, self._rig
+        )
+        self._last_ns = timestamp_ns
+        return self._sightings.add(timestamp_ns, placed, T_world_cam0)
 
     def owned(self, seen: ScenePoints) -> ScenePoints:
         """The points of a new frame with the tracks that their features had until now.
@@ -111,12 +123,30 @@ class ObjectTracker:
         return seen.feature_id[known], velocity[known]
 
 
-def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: int) -> Track:
-    """The track by its features, without a measurement; coasting where they are lost."""
+def _free(tracks: Sequence[Track], near: BoolArray, owner: IntArray) -> BoolArray:
+    """Features (T, N) at which each track may be found again: `near` it (T, N), no other track's,
+    and not where another body is that was seen beside it."""
+    in_view = np.array([t.state == TrackState.CONFIRMED for t in tracks], dtype=np.bool_)
+    born = np.array([t.born_ns for t in tracks], dtype=np.int64)
+    updated = np.array([t.updated_ns for t in tracks], dtype=np.int64)
+    beside = in_view & (born + BESIDE_NS < updated[:, None])
+    np.fill_diagonal(beside, False)
+    track_id = np.array([t.track_id for t in tracks], dtype=np.int64)
+    free: BoolArray = near & ~(beside @ near) & ((owner < 0) | (owner == track_id[:, None]))
+    return free
+
+
+def _followed(
+    track: Track, motions: FeatureMotions, near: BoolArray, free: BoolArray, now_ns: int
+) -> Track:
+    """The track by its features, without a measurement; coasting where they are lost.
+
+    `near` (N,): features where it should be; `free` (N,): those at which it may be found again.
+    """
     if track.state == TrackState.TENTATIVE:
         return _unseen(track)
-    own = contained(motions.feature_id, track.feature_id)
-    for body in (follow(motions, own, track.velocity), _found_again(track, motions, owner)):
+    own = near & contained(motions.feature_id, track.feature_id)
+    for body in (follow(motions, own, track.velocity), _found_again(track, motions, free)):
         if body is None or not _could_do(track, body, now_ns):
             continue
         observation = observe(body.position - track.offset, body.velocity, _loose(body, track))
@@ -136,16 +166,22 @@ def _followed(track: Track, motions: FeatureMotions, owner: IntArray, now_ns: in
 
 def _could_do(track: Track, body: FollowedBody, now_ns: int) -> bool:
     """Can a track have come to this velocity since it was seen? Else its features are the street's,
-    left behind."""
-    change = float(np.linalg.norm(body.velocity - track.velocity))
-    sigma = np.sqrt(np.trace(body.covariance[3:, 3:]))
-    return bool(change < _MAX_ACCEL * 1e-9 * (now_ns - track.updated_ns) + _SIGMAS * sigma)
+    left behind: also where rest explains them better than braking as hard as can be."""
+    most = _MAX_ACCEL * 1e-9 * (now_ns - track.updated_ns)
+    C = body.covariance[3:, 3:]
+    change = body.velocity - track.velocity
+    size = max(float(np.linalg.norm(change)), 1e-9)
+    sigma = float(np.sqrt(change @ C @ change)) / size
+    speed = float(np.linalg.norm(track.velocity))
+    braked = track.velocity * max(1.0 - most / max(speed, 1e-9), 0.0)
+    off = np.stack([body.velocity - braked, body.velocity])
+    from_braked, from_rest = (off * np.linalg.solve(C, off.T).T).sum(1)
+    return bool(size < most + _SIGMAS * sigma and from_braked <= from_rest)
 
 
-def _found_again(track: Track, motions: FeatureMotions, owner: IntArray) -> FollowedBody | None:
-    """The body by any features where it should be that go as it should; None with less than two."""
-    near = inside([track], motions.p_world, motions.position_cov)[0]
-    joins = _joining(track, motions, owner, near)
+def _found_again(track: Track, motions: FeatureMotions, free: BoolArray) -> FollowedBody | None:
+    """The body by any `free` features that go as it should; None with less than two."""
+    joins = _joining(track, motions, free)
     return body_of(motions, joins) if joins.sum() >= _MIN_FOUND else None
 
 
@@ -158,7 +194,8 @@ def _joined(track: Track, motions: FeatureMotions, owner: IntArray, near: BoolAr
         return track
     ids = track.feature_id
     if track.state == TrackState.CONFIRMED:
-        ids = union(ids, motions.feature_id[_joining(track, motions, owner, near)])
+        free = near & ((owner < 0) | (owner == track.track_id))
+        ids = union(ids, motions.feature_id[_joining(track, motions, free)])
     return replace(track, feature_id=without(ids, motions.feature_id[~near & _placed(motions)]))
 
 
@@ -167,9 +204,8 @@ def _placed(motions: FeatureMotions) -> BoolArray:
     return np.asarray(np.isfinite(motions.p_world[:, 0]))
 
 
-def _joining(track: Track, motions: FeatureMotions, owner: IntArray, near: BoolArray) -> BoolArray:
-    """Features (N,) `near` a track that go as it goes, do not rest and are no other track's."""
-    free = near & ((owner < 0) | (owner == track.track_id))
+def _joining(track: Track, motions: FeatureMotions, free: BoolArray) -> BoolArray:
+    """Those of the `free` features (N,) that go as a track goes, and do not rest."""
     return join(motions, free, track.velocity, track.filter.best.covariance[VELOCITY, VELOCITY])
 
 
@@ -196,6 +232,9 @@ def _pairs(
     share, count = shared_share(
         [t.feature_id for t in tracks], [m.feature_id for m in measurements]
     )
+    # what is made of another track's features is no part of this one
+    most = 0.5 * np.array([len(m.feature_id) for m in measurements])
+    d[(count == 0) & (count.max(0) > most)] = np.inf
     return associate(d, share, count)
 
 
@@ -217,79 +256,6 @@ def _with_own_features(tracks: Sequence[Track], seen: ScenePoints) -> list[Track
         taken = union(taken, ids)
         out.append(replace(track, feature_id=ids))
     return out
-
-
-def _merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Track, ...]:
-    """Tracks that have lain on an older one for some frames become one with it.
-
-    The older one's id stays, with what the one of more features knows. Until then a new one that
-    lies on an older one is not believed.
-    """
-    out: list[Track] = []
-    for track in tracks:
-        over = next((k for k, other in enumerate(out) if _same_body(track, other)), None)
-        if over is None:
-            out.append(replace(track, overlaps=max(track.overlaps - 1, 0)))
-        elif track.overlaps + 1 < settings.merge_frames:
-            young = track.hits <= settings.confirm_hits + settings.merge_frames
-            state = TrackState.TENTATIVE if young else track.state
-            out.append(replace(track, state=state, overlaps=track.overlaps + 1))
-        else:
-            out[over] = _united(out[over], track)
-    return tuple(out)
-
-
-def _united(track: Track, other: Track) -> Track:
-    """A track and a younger one of the same body: as the one of more features knows it."""
-    ids = np.union1d(track.feature_id, other.feature_id)
-    known = track if len(track.feature_id) >= len(other.feature_id) else other
-    return replace(known, track_id=track.track_id, feature_id=ids, overlaps=0)
-
-
-def _same_body(track: Track, other: Track) -> bool:
-    """Is one in the other, where no second body can be, or do they overlap and move alike?"""
-    if TrackState.COASTING not in (track.state, other.state) and (
-        _is_within(track, other) or _is_within(other, track)
-    ):
-        return True
-    along, across = _apart(track, other)
-    reach = 0.5 * (other.size + np.minimum(track.size, other.size))
-    near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
-    drive = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
-    near |= drive and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
-    near |= drive and _is_piece(track, other, along, across)
-    return bool(near and _goes_like(track, other))
-
-
-def _goes_like(track: Track, other: Track) -> bool:
-    """Are two velocities the same, within their covariance and by no more than a walker's speed?"""
-    dv = track.velocity - other.velocity
-    P = sum(t.filter.best.covariance[VELOCITY, VELOCITY] for t in (track, other))
-    C = P + _SPEED_SPREAD**2 * np.eye(3)
-    alike = dv @ np.linalg.solve(C, dv) < _ALIKE_GATE
-    return bool(alike and np.linalg.norm(dv) < _SAME_SPEED_MPS)
-
-
-def _is_piece(track: Track, other: Track, along: float, across: float) -> bool:
-    """Can a track of few features be the far end of one that has many?"""
-    few = len(track.feature_id) < _FEW_OF_MANY * len(other.feature_id)
-    gap = along - 0.5 * (track.size[0] + other.size[0])
-    width = across + 0.5 * (track.size[1] + other.size[1])
-    return bool(few and gap < _GAP_M and width < _BODY_WIDTH_M)
-
-
-def _is_within(track: Track, other: Track) -> bool:
-    """Is a track's middle inside the box of another one with more features?"""
-    along, across = _apart(track, other)
-    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], _WIDTH_M)
-    return bool(inner and len(track.feature_id) < len(other.feature_id))
-
-
-def _apart(track: Track, other: Track) -> tuple[float, float]:
-    """Distances of the middles, along and across the other's heading, metres."""
-    apart = track.position - other.position
-    c, s = np.cos(other.yaw), np.sin(other.yaw)
-    return abs(c * apart[0] + s * apart[1]), abs(-s * apart[0] + c * apart[1])
 
 
 def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
@@ -314,7 +280,7 @@ def _as_result(
     own = owner == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
-        state=_shown_state(track, now_ns, settings).value,
+        state=_shown_state(track, now_ns, T_world_cam0, rig, settings).value,
         position=track.position,
         velocity=track.velocity,
         yaw=track.yaw,
@@ -327,12 +293,23 @@ def _as_result(
     )
 
 
-def _shown_state(track: Track, now_ns: int, settings: ObjectTrackSettings) -> TrackState:
-    """A confirmed track that was missed for a frame or two is not yet called coasting."""
+def _shown_state(
+    track: Track,
+    now_ns: int,
+    T_world_cam0: FloatArray,
+    rig: StereoRig,
+    settings: ObjectTrackSettings,
+) -> TrackState:
+    """A confirmed track that was missed is not yet called coasting while it is known where in the
+    picture it is: behind something."""
+    if track.state != TrackState.COASTING:
+        return track.state
     missed_s = 1e-9 * (now_ns - track.updated_ns)
-    if track.state == TrackState.COASTING and missed_s <= settings.missed_s:
-        return TrackState.CONFIRMED
-    return track.state
+    variance = 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))
+    place = se3.apply(se3.inverse(T_world_cam0), track.position[None])
+    in_view = bool(rig.cam0.inside(rig.cam0.project(place), 0.0)[0])
+    known = in_view and variance < settings.place_sigma_m**2
+    return TrackState.CONFIRMED if missed_s <= settings.missed_s or known else track.state
 
 
 def _box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:

@@ -1,0 +1,65 @@
+"""Features of tracks that only the left camera sees: the track tells how far away they are.
+
+A body that leaves the picture, or goes behind another one, is lost to the right camera first. Its
+features then still tell how it moves across the rays.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.followed import FeatureMotions
+from ovmot.objects.id_sets import contained
+from ovmot.objects.track import Track, TrackState
+from ovmot.types import ScenePoints
+
+_PIXEL_SIGMA = 0.5
+_DEPTH_SIGMA_M = 4.0  # by which nothing is learned along the ray
+_LEAST_DEPTH_M = 0.5
+
+
+def placed_by_tracks(
+    seen: ScenePoints,
+    tracks: Sequence[Track],
+    before: FeatureMotions,
+    since_s: float,
+    T_world_cam0: FloatArray,
+    rig: StereoRig,
+) -> ScenePoints:
+    """The points, those of confirmed `tracks` without a stereo match at the depth they should have.
+
+    `tracks` are carried to now; `before`: where the features were, `since_s` ago.
+    """
+    alone = ~np.isfinite(seen.p_cam0[:, 2])
+    p_cam0, cov_cam0 = seen.p_cam0.copy(), seen.cov_cam0.copy()
+    for track in tracks:
+        if track.state == TrackState.TENTATIVE:
+            continue
+        own = np.flatnonzero(alone & contained(seen.feature_id, track.feature_id))
+        if len(own) == 0:
+            continue
+        p_world = _last_places(before, seen.feature_id[own]) + track.velocity * since_s
+        p_world = np.where(np.isfinite(p_world), p_world, track.position)
+        depth = se3.apply(se3.inverse(T_world_cam0), p_world)[:, 2]
+        own, depth = own[depth > _LEAST_DEPTH_M], depth[depth > _LEAST_DEPTH_M]
+        xy = rig.cam0.normalize(seen.pixels[own, :2])
+        ray = np.column_stack([xy, np.ones(len(own))])
+        p_cam0[own] = ray * depth[:, None]
+        across = (_PIXEL_SIGMA / rig.cam0.fx * depth) ** 2
+        along = _DEPTH_SIGMA_M**2 * ray[:, :, None] * ray[:, None]
+        cov_cam0[own] = across[:, None, None] * np.eye(3) + along
+    return replace(seen, p_cam0=p_cam0, cov_cam0=cov_cam0)
+
+
+def _last_places(before: FeatureMotions, feature_id: IntArray) -> FloatArray:
+    """Where features (K,) were in the world (K, 3); NaN where not known."""
+    places = np.full((len(feature_id), 3), np.nan)
+    order = np.argsort(before.feature_id)
+    known = np.isin(feature_id, before.feature_id)
+    index = np.searchsorted(before.feature_id, feature_id[known], sorter=order)
+    places[known] = before.p_world[order[index]]
+    return places
