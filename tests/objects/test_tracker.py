@@ -198,6 +198,25 @@ def test_out_of_the_picture_a_body_coasts_at_once() -> None:
     assert states[11:] == ["coasting"] * len(states[11:])
 
 
+def test_a_body_that_has_left_is_not_found_again_by_a_few_features() -> None:
+    rng = np.random.default_rng(7)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+    leaves = body(10.0, 2.0, 0.0, 8.0)
+    other = body(10.0, 16.0, 0.0, 6.5, 500)
+    for k in range(22):
+        measurement = measure(leaves, 0.1 * k, rng) if k < 8 else None
+        if k == 21:
+            seen_again = measure(other, 0.0, rng)
+            measurement = None if seen_again is None else _few(seen_again)
+        found = [] if measurement is None else [measurement]
+        nothing = scene_points([], 0.0, rng)
+        tracks, _ = tracker.step(k * FRAME_NS, found, nothing, T_WORLD_CAM0)
+    assert [(track.track_id, track.state) for track in tracks] == [
+        (0, "coasting"),
+        (1, "tentative"),
+    ]
+
+
 def test_features_of_one_camera_go_on_with_a_body() -> None:
     """Without a measurement and without stereo: it goes behind what only the right camera sees."""
     rng = np.random.default_rng(5)

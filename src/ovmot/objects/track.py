@@ -117,7 +117,7 @@ def start_track(track_id: int, now_ns: int, measurement: ObjectMeasurement) -> T
     body = update(start_filter(now_ns, as_observation(measurement, size, None)), _ROAD_USER)
     return Track(
         track_id=track_id,
-        state=TrackState.CONFIRMED if _is_sure(measurement) else TrackState.TENTATIVE,
+        state=TrackState.CONFIRMED if is_sure(measurement) else TrackState.TENTATIVE,
         filter=body,
         offset=np.zeros(3),
         size=np.minimum(size, _BIGGEST),
@@ -135,7 +135,7 @@ def _heading(velocity: FloatArray) -> float:
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
-def _is_sure(measurement: ObjectMeasurement) -> bool:
+def is_sure(measurement: ObjectMeasurement) -> bool:
     """Do many features move together, across that direction in which they are known worst?
 
     That is the ray's: along it, patches may slide together.

@@ -19,12 +19,13 @@ from ovmot.objects.object_filter import distance, observe, update
 from ovmot.objects.one_view import placed_by_tracks
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.region import inside
-from ovmot.objects.track import Track, TrackState, carried, gaps, measured, start_track
+from ovmot.objects.track import Track, TrackState, carried, gaps, is_sure, measured, start_track
 from ovmot.types import ObjectTrack, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
 _TENTATIVE_MISSES_S = 0.25
 _MAX_ACCEL, _SIGMAS = 8.0, 3.0  # m/s²: a car on its brakes
+_LOST_M = 1.0  # standard deviation of its place
 _MIN_FOUND = 2  # features that go as a track should, where it should be, are the track
 
 
@@ -56,12 +57,14 @@ class ObjectTracker:
         tracks = [carried(track, timestamp_ns, settings) for track in self._tracks]
         motions = self._motions(timestamp_ns, seen, tracks, T_world_cam0)
         # 2 which measurement is whose
-        pairs = _pairs(tracks, measurements, timestamp_ns)
+        left = np.array([_has_left(t, T_world_cam0, self._rig) for t in tracks], dtype=np.bool_)
+        pairs = _pairs(tracks, measurements, left, timestamp_ns)
         taken = {j for _, j in pairs}
         own = dict(pairs)
         # 3 correct: by the measurement, else by the features that go as the track should
-        near = inside(tracks, motions.p_world, motions.position_cov)
-        free = _free(tracks, near, _owner(tracks, seen.feature_id))
+        asked = tracks if len(own) < len(tracks) else []
+        near = inside(asked, motions.p_world, motions.position_cov)
+        free = _free(asked, near, _owner(asked, seen.feature_id))
         for i, track in enumerate(tracks):
             tracks[i] = (
                 measured(track, measurements[own[i]], timestamp_ns, settings)
@@ -89,19 +92,13 @@ class ObjectTracker:
         return shown, points
 
     def _motions(
-        self,
-        timestamp_ns: int,
-        seen: ScenePoints,
-        tracks: Sequence[Track],
-        T_world_cam0: FloatArray,
+        self, now_ns: int, seen: ScenePoints, tracks: Sequence[Track], T_world_cam0: FloatArray
     ) -> FeatureMotions:
         """Of the features of this frame; for those of tracks the left camera is enough."""
-        since_s = 1e-9 * (timestamp_ns - self._last_ns)
-        placed = placed_by_tracks(
-            seen, tracks, self._sightings.last, since_s, T_world_cam0, self._rig
-        )
-        self._last_ns = timestamp_ns
-        return self._sightings.add(timestamp_ns, placed, T_world_cam0)
+        since_s, self._last_ns = 1e-9 * (now_ns - self._last_ns), now_ns
+        before = self._sightings.last
+        placed = placed_by_tracks(seen, tracks, before, since_s, T_world_cam0, self._rig)
+        return self._sightings.add(now_ns, placed, T_world_cam0)
 
     def owned(self, seen: ScenePoints) -> ScenePoints:
         """The points of a new frame with the tracks that their features had until now.
@@ -224,8 +221,12 @@ def _loose(body: FollowedBody, track: Track) -> FloatArray:
 
 
 def _pairs(
-    tracks: Sequence[Track], measurements: Sequence[ObjectMeasurement], now_ns: int
+    tracks: Sequence[Track],
+    measurements: Sequence[ObjectMeasurement],
+    left: BoolArray,
+    now_ns: int,
 ) -> list[tuple[int, int]]:
+    """Tracks and their measurements; `left` (T,): which tracks have left the picture."""
     if not tracks or not measurements:
         return []
     d = gaps(tracks, measurements, now_ns)
@@ -235,7 +236,28 @@ def _pairs(
     # what is made of another track's features is no part of this one
     most = 0.5 * np.array([len(m.feature_id) for m in measurements])
     d[(count == 0) & (count.max(0) > most)] = np.inf
+    # one that has left the picture is not found again by less than begins a track
+    if left.any():
+        unsure = ~np.array([is_sure(m) for m in measurements])
+        d[left[:, None] & unsure & (count == 0)] = np.inf
     return associate(d, share, count)
+
+
+def _has_left(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
+    """Is a track not seen, and its place outside the picture and hardly known any more?"""
+    if track.state != TrackState.COASTING or _is_in_view(track, T_world_cam0, rig):
+        return False
+    return _place_variance(track) > _LOST_M**2
+
+
+def _is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
+    place = se3.apply(se3.inverse(T_world_cam0), track.position[None])
+    return bool(rig.cam0.inside(rig.cam0.project(place), 0.0)[0])
+
+
+def _place_variance(track: Track) -> float:
+    """Of its position over ground, in either direction."""
+    return 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))
 
 
 def _lives(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
@@ -305,11 +327,9 @@ def _shown_state(
     if track.state != TrackState.COASTING:
         return track.state
     missed_s = 1e-9 * (now_ns - track.updated_ns)
-    variance = 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))
-    place = se3.apply(se3.inverse(T_world_cam0), track.position[None])
-    in_view = bool(rig.cam0.inside(rig.cam0.project(place), 0.0)[0])
-    known = in_view and variance < settings.place_sigma_m**2
-    return TrackState.CONFIRMED if missed_s <= settings.missed_s or known else track.state
+    known = _place_variance(track) < settings.place_sigma_m**2
+    there = known and _is_in_view(track, T_world_cam0, rig)
+    return TrackState.CONFIRMED if missed_s <= settings.missed_s or there else track.state
 
 
 def _box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
