@@ -198,6 +198,17 @@ def test_out_of_the_picture_a_body_coasts_at_once() -> None:
     assert states[11:] == ["coasting"] * len(states[11:])
 
 
+def test_the_box_of_an_unseen_body_ends_with_the_picture() -> None:
+    leaves = body(10.0, 2.0, 0.0, 8.0, hidden_s=(0.3, 9.0))
+    boxes = {round(t, 1): tracks[0].box_px for t, tracks, _ in run([leaves], 1.5) if tracks}
+    middle = small_rig().cam0.project(np.array([[-6.0, 0.8, 10.0]]))[0]  # at 0.5 s
+    u_min, v_min, u_max, v_max = boxes[0.5]
+    assert u_min < middle[0] < u_max
+    assert v_min < middle[1] < v_max
+    assert boxes[0.7][0] == -0.5  # partly out of it
+    assert np.isnan(boxes[1.4]).all()
+
+
 def test_a_body_that_has_left_is_not_found_again_by_a_few_features() -> None:
     rng = np.random.default_rng(7)
     tracker = ObjectTracker(small_rig(), ObjectTrackSettings())

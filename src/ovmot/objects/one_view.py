@@ -35,23 +35,22 @@ def placed_by_tracks(
     `tracks` are carried to now; `before`: where the features were, `since_s` ago.
     """
     alone = ~np.isfinite(seen.p_cam0[:, 2])
-    p_cam0, cov_cam0 = seen.p_cam0.copy(), seen.cov_cam0.copy()
+    last = _last_places(before, seen.feature_id)
+    p_world = np.full((len(alone), 3), np.nan)
     for track in tracks:
-        if track.state == TrackState.TENTATIVE:
-            continue
-        own = np.flatnonzero(alone & contained(seen.feature_id, track.feature_id))
-        if len(own) == 0:
-            continue
-        p_world = _last_places(before, seen.feature_id[own]) + track.velocity * since_s
-        p_world = np.where(np.isfinite(p_world), p_world, track.position)
-        depth = se3.apply(se3.inverse(T_world_cam0), p_world)[:, 2]
-        own, depth = own[depth > _LEAST_DEPTH_M], depth[depth > _LEAST_DEPTH_M]
-        xy = rig.cam0.normalize(seen.pixels[own, :2])
-        ray = np.column_stack([xy, np.ones(len(own))])
-        p_cam0[own] = ray * depth[:, None]
-        across = (_PIXEL_SIGMA / rig.cam0.fx * depth) ** 2
-        along = _DEPTH_SIGMA_M**2 * ray[:, :, None] * ray[:, None]
-        cov_cam0[own] = across[:, None, None] * np.eye(3) + along
+        if track.state != TrackState.TENTATIVE:
+            own = alone & contained(seen.feature_id, track.feature_id)
+            moved = last[own] + track.velocity * since_s
+            p_world[own] = np.where(np.isfinite(moved), moved, track.position)
+    depth = se3.apply(se3.inverse(T_world_cam0), p_world)[:, 2]
+    placed = np.flatnonzero(depth > _LEAST_DEPTH_M)
+    depth, xy = depth[placed], rig.cam0.normalize(seen.pixels[placed, :2])
+    ray = np.column_stack([xy, np.ones(len(placed))])
+    across = (_PIXEL_SIGMA / rig.cam0.fx * depth) ** 2
+    along = _DEPTH_SIGMA_M**2 * ray[:, :, None] * ray[:, None]
+    p_cam0, cov_cam0 = seen.p_cam0.copy(), seen.cov_cam0.copy()
+    p_cam0[placed] = ray * depth[:, None]
+    cov_cam0[placed] = across[:, None, None] * np.eye(3) + along
     return replace(seen, p_cam0=p_cam0, cov_cam0=cov_cam0)
 
 
@@ -59,7 +58,7 @@ def _last_places(before: FeatureMotions, feature_id: IntArray) -> FloatArray:
     """Where features (K,) were in the world (K, 3); NaN where not known."""
     places = np.full((len(feature_id), 3), np.nan)
     order = np.argsort(before.feature_id)
-    known = np.isin(feature_id, before.feature_id)
-    index = np.searchsorted(before.feature_id, feature_id[known], sorter=order)
-    places[known] = before.p_world[order[index]]
+    ids = before.feature_id[order]
+    known = contained(feature_id, ids)
+    places[known] = before.p_world[order[np.searchsorted(ids, feature_id[known])]]
     return places

@@ -1,9 +1,11 @@
-"""Which features lie where a track is."""
+"""Which features lie where a track is, and whether that is in the picture."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.objects.track import Track
 
@@ -29,3 +31,9 @@ def inside(tracks: Sequence[Track], p_world: FloatArray, position_cov: FloatArra
         outside = np.sqrt(along**2 + across**2 + above**2)
         near: BoolArray = outside < _MARGIN_M + _SIGMAS * np.sqrt(variance)
     return near
+
+
+def is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
+    """Is a track's middle in the left picture?"""
+    place = se3.apply(se3.inverse(T_world_cam0), track.position[None])
+    return bool(rig.cam0.inside(rig.cam0.project(place))[0])

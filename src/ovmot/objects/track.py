@@ -222,3 +222,8 @@ def measured(
         hits=hits,
         evidence=evidence,
     )
+
+
+def place_variance(track: Track) -> float:
+    """Of its position over ground, in either direction, m²."""
+    return 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))

@@ -7,19 +7,28 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.config import ObjectTrackSettings
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.association import associate, shared_share
 from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body_of, follow, join
 from ovmot.objects.id_sets import contained, union, without
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.merging import BESIDE_NS, merged
-from ovmot.objects.motion_models import VELOCITY, YAW_RATE
+from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.object_filter import distance, observe, update
 from ovmot.objects.one_view import placed_by_tracks
 from ovmot.objects.point_labels import label_points, speeds_of
-from ovmot.objects.region import inside
-from ovmot.objects.track import Track, TrackState, carried, gaps, is_sure, measured, start_track
+from ovmot.objects.region import inside, is_in_view
+from ovmot.objects.shown import as_result
+from ovmot.objects.track import (
+    Track,
+    TrackState,
+    carried,
+    gaps,
+    is_sure,
+    measured,
+    place_variance,
+    start_track,
+)
 from ovmot.types import ObjectTrack, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
@@ -84,7 +93,7 @@ class ObjectTracker:
         self._tracks = merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
         shown = tuple(
-            _as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
+            as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
             for t in self._tracks
         )
         before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)
@@ -245,19 +254,9 @@ def _pairs(
 
 def _has_left(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
     """Is a track not seen, and its place outside the picture and hardly known any more?"""
-    if track.state != TrackState.COASTING or _is_in_view(track, T_world_cam0, rig):
+    if track.state != TrackState.COASTING or is_in_view(track, T_world_cam0, rig):
         return False
-    return _place_variance(track) > _LOST_M**2
-
-
-def _is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
-    place = se3.apply(se3.inverse(T_world_cam0), track.position[None])
-    return bool(rig.cam0.inside(rig.cam0.project(place), 0.0)[0])
-
-
-def _place_variance(track: Track) -> float:
-    """Of its position over ground, in either direction."""
-    return 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))
+    return place_variance(track) > _LOST_M**2
 
 
 def _lives(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
@@ -286,61 +285,3 @@ def _owner(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
         if track.state != TrackState.COASTING:
             owner[contained(feature_id, track.feature_id)] = track.track_id
     return owner
-
-
-def _as_result(
-    track: Track,
-    now_ns: int,
-    seen: ScenePoints,
-    owner: IntArray,
-    T_world_cam0: FloatArray,
-    rig: StereoRig,
-    settings: ObjectTrackSettings,
-) -> ObjectTrack:
-    best = track.filter.best
-    sigma = np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
-    own = owner == track.track_id
-    return ObjectTrack(
-        track_id=track.track_id,
-        state=_shown_state(track, now_ns, T_world_cam0, rig, settings).value,
-        position=track.position,
-        velocity=track.velocity,
-        yaw=track.yaw,
-        yaw_rate=float(best.state[YAW_RATE]),
-        size=track.size,
-        box_px=_box(track, seen.pixels[own, :2], T_world_cam0, rig),
-        n_points=int(own.sum()),
-        std_position=sigma[:3],
-        std_velocity=sigma[3:6],
-    )
-
-
-def _shown_state(
-    track: Track,
-    now_ns: int,
-    T_world_cam0: FloatArray,
-    rig: StereoRig,
-    settings: ObjectTrackSettings,
-) -> TrackState:
-    """A confirmed track that was missed is not yet called coasting while it is known where in the
-    picture it is: behind something."""
-    if track.state != TrackState.COASTING:
-        return track.state
-    missed_s = 1e-9 * (now_ns - track.updated_ns)
-    known = _place_variance(track) < settings.place_sigma_m**2
-    there = known and _is_in_view(track, T_world_cam0, rig)
-    return TrackState.CONFIRMED if missed_s <= settings.missed_s or there else track.state
-
-
-def _box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
-    """Left-image box (4,) of its points; of its 3-D box where it has fewer than two; else NaN."""
-    if len(uv) < 2:
-        half = 0.5 * track.size
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        c, s = np.cos(track.yaw), np.sin(track.yaw)
-        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        corners = track.position + (signs * half) @ R.T
-        uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
-        if not np.isfinite(uv).all():
-            return np.full(4, np.nan)
-    return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
