@@ -246,6 +246,22 @@ def test_features_of_one_camera_go_on_with_a_body() -> None:
     assert np.linalg.norm(track.position - walker.motion(1.9)[0]) < 0.5
 
 
+def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray() -> None:
+    """What stands there would look the same: only stereo tells."""
+    rng = np.random.default_rng(5)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(missed_s=0.0, place_sigma_m=0.0))
+    ahead = body(15.0, 0.0, 5.0, 0.0, stops_at_s=0.9)
+    for k in range(20):
+        t = 0.1 * k
+        points = scene_points([ahead], t, rng)
+        measurement = measure(ahead, t, rng)
+        if k >= 10:
+            points = replace(points, p_cam0=np.full_like(points.p_cam0, np.nan))
+        found = [] if measurement is None else [measurement]
+        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0)
+    assert track.state == "coasting"
+
+
 def test_features_left_behind_do_not_stop_a_fast_body() -> None:
     rng = np.random.default_rng(6)
     tracker = ObjectTracker(small_rig(), ObjectTrackSettings())

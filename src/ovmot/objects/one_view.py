@@ -1,7 +1,7 @@
 """Features of tracks that only the left camera sees: the track tells how far away they are.
 
 A body that leaves the picture, or goes behind another one, is lost to the right camera first. Its
-features then still tell how it moves across the rays.
+features then still tell how it moves across the rays, and nothing of what it does along them.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,7 @@ from ovmot.types import ScenePoints
 _PIXEL_SIGMA = 0.5
 _DEPTH_SIGMA_M = 4.0  # by which nothing is learned along the ray
 _LEAST_DEPTH_M = 0.5
+_ACROSS = 0.5  # of the velocity along the ray, that one across it must be at least
 
 
 def placed_by_tracks(
@@ -38,7 +39,7 @@ def placed_by_tracks(
     last = _last_places(before, seen.feature_id)
     p_world = np.full((len(alone), 3), np.nan)
     for track in tracks:
-        if track.state != TrackState.TENTATIVE:
+        if track.state != TrackState.TENTATIVE and _goes_across(track, T_world_cam0):
             own = alone & contained(seen.feature_id, track.feature_id)
             moved = last[own] + track.velocity * since_s
             p_world[own] = np.where(np.isfinite(moved), moved, track.position)
@@ -52,6 +53,14 @@ def placed_by_tracks(
     p_cam0[placed] = ray * depth[:, None]
     cov_cam0[placed] = across[:, None, None] * np.eye(3) + along
     return replace(seen, p_cam0=p_cam0, cov_cam0=cov_cam0)
+
+
+def _goes_across(track: Track, T_world_cam0: FloatArray) -> bool:
+    """Does a track go across its ray rather than along it? Along it, what rests looks the same."""
+    ray = track.position - T_world_cam0[:3, 3]
+    along = float(track.velocity @ ray) / max(float(np.linalg.norm(ray)), _LEAST_DEPTH_M)
+    across_squared = float(track.velocity @ track.velocity) - along**2
+    return across_squared > (_ACROSS * along) ** 2
 
 
 def _last_places(before: FeatureMotions, feature_id: IntArray) -> FloatArray:
