@@ -16,12 +16,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ovmot.config import Settings
 from ovmot.datasets import RecordedSequence, events, open_sequence
 from ovmot.errors import InputError
-from ovmot.pipeline import Pipeline
-from ovmot.run import make_start
+from ovmot.odometry import Odometry
+from ovmot.run import make_initializer
 from ovmot.runtime import prepare_process
+from ovmot.settings import Settings
 from ovmot.types import Event, StereoFrame
 
 DEFAULT_SEQUENCES = ("euroc_mh01", "street_traffic")
@@ -78,17 +78,17 @@ def measure(sequence: RecordedSequence, runs: int) -> tuple[str, ...]:
 def run_once(sequence: RecordedSequence, stream: list[Event]) -> tuple[float, dict[str, float]]:
     """Wall seconds of feeding everything, and the mean milliseconds of each stage."""
     settings = Settings()
-    pipeline = Pipeline(sequence.rig, settings, make_start(sequence, settings, None))
+    odometry = Odometry(sequence.rig, settings, make_initializer(sequence, settings, None))
     spent: dict[str, list[float]] = {}
     begin = time.perf_counter()
     for event in stream:
-        for result in pipeline.feed(event):
+        for result in odometry.feed(event):
             for name, milliseconds in result.milliseconds.items():
                 spent.setdefault(name, []).append(milliseconds)
     seconds = time.perf_counter() - begin
-    pipeline.close()
+    odometry.close()
     if not spent:
-        raise InputError(f"{sequence.root}: never started: {pipeline.not_started_because}")
+        raise InputError(f"{sequence.root}: never started: {odometry.not_started_because}")
     n_results = max(len(values) for values in spent.values())
     return seconds, {name: float(np.sum(v)) / n_results for name, v in spent.items()}
 

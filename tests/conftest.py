@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot import cli
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.cli import app as cli
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.types import StereoFrame

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.formats import write_tum
+from ovmot.datasets.pose_files import write_tum
 from ovmot.geometry import se3, so3
 
 Command = Callable[..., Any]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.config import Settings
+from ovmot.settings import Settings
 from ovmot.settings_file import load_settings, read_yaml_mapping
 
 CONFIG = Path(__file__).parents[1] / "config"

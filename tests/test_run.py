@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 
 from ovmot import run as run_module
-from ovmot.config import MaskSettings, ObjectSettings, Settings
+from ovmot.datasets.pose_files import ns_to_seconds
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import DatasetError, InputError, OvmotError
-from ovmot.formats import ns_to_seconds
 from ovmot.geometry import se3
-from ovmot.given_ego import GivenStart
+from ovmot.odometry import Odometry
 from ovmot.outputs.run_writer import RunWriter, open_outputs
-from ovmot.pipeline import Pipeline
 from ovmot.run import RunOptions, imu_noise, run_sequence
+from ovmot.settings import MaskSettings, ObjectSettings, Settings
 from ovmot.types import Event, FrameResult, ImuNoise
+from ovmot.vio.given_poses import GivenPosesInitializer
 
 SETTINGS = Settings.model_validate(
     {
@@ -298,11 +298,11 @@ def test_while_it_waits_it_says_why_once_a_second(painted_euroc: Path, tmp_path:
 
 def test_it_says_so_each_second_and_anew_after_a_reset() -> None:
     """Frames at 10 Hz; there is a start from 2.5 s to 3.5 s."""
-    pipeline: Any = SimpleNamespace(started=False, not_started_because="too dark")
+    odometry: Any = SimpleNamespace(started=False, not_started_because="too dark")
     frames: list[Any] = [SimpleNamespace(timestamp_ns=START_NS + 10**8 * k) for k in range(60)]
     said: list[str] = []
-    for k, _ in enumerate(run_module._saying(iter(frames), pipeline, said.append)):
-        pipeline.started = 25 <= k < 35
+    for k, _ in enumerate(run_module._saying(iter(frames), odometry, said.append)):
+        odometry.started = 25 <= k < 35
     expected = [10, 20, 45, 55]
     assert said == [f"no start at frame {START_NS + 10**8 * k} ns: too dark" for k in expected]
 
@@ -374,16 +374,16 @@ def test_an_existing_run_is_not_overwritten(painted_euroc: Path, tmp_path: Path)
 def test_a_pose_that_is_not_finite_ends_the_run(
     painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true_feed = Pipeline.feed
+    true_feed = Odometry.feed
 
-    def feed(self: Pipeline, event: Event) -> list[FrameResult]:
+    def feed(self: Odometry, event: Event) -> list[FrameResult]:
         broken = np.full((4, 4), np.nan)
         return [
             replace(r, ego=replace(r.ego, T_world_imu=broken)) if r.timestamp_ns > STAMPS[8] else r
             for r in true_feed(self, event)
         ]
 
-    monkeypatch.setattr(Pipeline, "feed", feed)
+    monkeypatch.setattr(Odometry, "feed", feed)
     with pytest.raises(OvmotError, match=f"the pose at {STAMPS[9]} ns is not finite"):
         run(painted_euroc, tmp_path / "out")
     assert stamps_in(tmp_path / "out" / "state.csv")[-1] == STAMPS[8]
@@ -403,7 +403,7 @@ def test_camera_poses_are_carried_to_the_imu(painted_euroc: Path, tmp_path: Path
     poses = tmp_path / "0000.txt"
     poses.write_text("1 0 0 0.5 0 1 0 0 0 0 1 2\n" * 12)
     sequence = open_sequence(painted_euroc)
-    start = run_module.make_start(sequence, SETTINGS, poses)
-    assert isinstance(start, GivenStart)
+    start = run_module.make_initializer(sequence, SETTINGS, poses)
+    assert isinstance(start, GivenPosesInitializer)
     T_world_cam0 = start.ego.T_world_imu[0] @ sequence.rig.T_imu_cam0
     np.testing.assert_allclose(se3.apply(T_world_cam0, np.zeros(3)), [2.0, -0.5, 0.0], atol=1e-9)

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.config import Settings
+from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
 from ovmot.evaluation.calibration import calibration_errors, calibration_scalars
 from ovmot.evaluation.consistency import nees, pose_errors
 from ovmot.evaluation.run_files import read_ego_run
-from ovmot.formats import read_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
 from ovmot.run import RunOptions, run_features
+from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
 from ovmot.sim.handheld import EUROC_NOISE, ORIGIN_NS, handheld_rig
@@ -141,7 +141,7 @@ def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
         ],
     )  # fmt: skip
     recording = FeatureRecording(simulation, 1)
-    run_features(recording, settings, RunOptions(tmp_path / "out"), told_rig=told)
+    run_features(recording, settings, RunOptions(tmp_path / "out"), initial_rig=told)
     errors = calibration_errors(tmp_path / "out", told, true)
     assert errors is not None
     assert (np.abs(errors.error[20:]) < 4.0 * errors.sigma[20:]).all()

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.config import Settings
 from ovmot.errors import InputError
+from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 
 

@@ -8,7 +8,7 @@ EXIT_INTERRUPTED = 130
 def main() -> None:
     """Load the command line, which takes seconds, and run it."""
     try:
-        from ovmot import cli
+        from ovmot.cli import app as cli
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
     cli.main()

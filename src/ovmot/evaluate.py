@@ -87,11 +87,11 @@ def evaluate_run(run: Path, truth: Path, criteria: ObjectCriteria | None = None)
 
 
 def evaluate_features(
-    run: Path, recording: FeatureRecording, told_rig: StereoRig | None = None
+    run: Path, recording: FeatureRecording, initial_rig: StereoRig | None = None
 ) -> Evaluation:
     """Measure the run of a feature-level simulation against the simulation itself.
 
-    `told_rig`: the calibration that the run was given, where that is not the true one.
+    `initial_rig`: the calibration that the run was given, where that is not the true one.
     """
     truth, rig = recording.truth(), recording.simulation.rig
     ego_truth = EgoTruth(
@@ -100,7 +100,7 @@ def evaluate_features(
     )  # fmt: skip
     return Evaluation(
         evaluate_ego(read_ego_run(run), ego_truth),
-        calibration=calibration_errors(run, told_rig or rig, rig),
+        calibration=calibration_errors(run, initial_rig or rig, rig),
     )
 
 

@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import Settings
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
+from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
-from ovmot.formats import read_ego_poses
 from ovmot.frontend.given_features import GivenFeatures
-from ovmot.given_ego import GivenEgo, GivenStart, imu_poses_from_cam0
-from ovmot.msckf.known_start import KnownStart, StartSigmas
-from ovmot.msckf.start import FilterStart
-from ovmot.msckf.state import ImuState
+from ovmot.initialization.initializer import FilterInitializer
+from ovmot.initialization.known_state import InitialSigmas, KnownStateInitializer
+from ovmot.interfaces import FrontEnd, Initializer
+from ovmot.odometry import STAGES, Odometry
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
-from ovmot.parts import FrontEnd, Start
-from ovmot.pipeline import STAGES, Pipeline
+from ovmot.settings import Settings
 from ovmot.sim.features import FeatureRecording
 from ovmot.types import Event, ImuNoise, ImuSample, StereoFrame
+from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_from_cam0
+from ovmot.vio.state import ImuState
 
 _SAY_EVERY_NS = 1_000_000_000
 _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
@@ -60,7 +60,7 @@ class _Source:
     name: str
     rig: StereoRig
     stream: Generator[Event, None, None]
-    start: Start
+    start: Initializer
     frontend: FrontEnd | None
     imu_noise: ImuNoise | None
     identity: InputIdentity
@@ -89,7 +89,7 @@ def run_sequence(
         name=str(sequence.root),
         rig=sequence.rig,
         stream=stream,
-        start=make_start(sequence, settings, options.ego_poses),
+        start=make_initializer(sequence, settings, options.ego_poses),
         frontend=None,
         imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
         identity=_identity(sequence),
@@ -123,24 +123,24 @@ def run_features(
     settings: Settings,
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
-    start_sigmas: StartSigmas = StartSigmas(),  # noqa: B008 - frozen
-    told_rig: StereoRig | None = None,
+    initial_sigmas: InitialSigmas = InitialSigmas(),  # noqa: B008 - frozen
+    initial_rig: StereoRig | None = None,
 ) -> RunSummary:
     """Run a feature-level simulation, started at its truth; as `run_sequence` otherwise.
 
-    `start_sigmas` is how sure of that start the filter is told to be, `told_rig` the calibration
-    that it is given in place of the true one. Raises `InputError` for what
+    `initial_sigmas` are the prior standard deviations of that start, `initial_rig` the
+    calibration that it is given in place of the true one. Raises `InputError` for what
     needs images or frame numbers: an overlay, poses from a file, a first or last frame.
     """
     if options.video or options.ego_poses is not None or options.first or options.last is not None:
         raise InputError("a feature-level simulation has no images and runs from end to end")
     simulation = recording.simulation
-    rig = told_rig or simulation.rig
+    rig = initial_rig or simulation.rig
     source = _Source(
         name="feature simulation",
         rig=rig,
         stream=recording.events(),
-        start=known_start(recording, settings, start_sigmas, rig),
+        start=known_state_initializer(recording, settings, initial_sigmas, rig),
         frontend=GivenFeatures(rig, settings.tracker, settings.epipolar),
         imu_noise=simulation.imu.noise,
         identity=InputIdentity(
@@ -169,7 +169,7 @@ def _run(
     began = time.perf_counter()
     ended = "finished"
     failure: BaseException | None = None
-    pipeline = Pipeline(source.rig, settings, source.start, source.frontend)
+    odometry = Odometry(source.rig, settings, source.start, source.frontend)
     writer = open_outputs(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
@@ -179,9 +179,9 @@ def _run(
     try:
         with writer, closing(source.stream):
             stream = _with_pose(source.stream, source.start, counts)
-            _feed_all(_saying(stream, pipeline, on_wait), pipeline, writer, counts, on_frame)
+            _feed_all(_saying(stream, odometry, on_wait), odometry, writer, counts, on_frame)
             if writer.frames_written == 0:
-                why = pipeline.not_started_because or "no frame was seen"
+                why = odometry.not_started_because or "no frame was seen"
                 raise OvmotError(f"{source.name}: never started: {why}")
     except KeyboardInterrupt as stop:
         ended, failure = "interrupted", stop
@@ -190,10 +190,10 @@ def _run(
         ended, failure = f"failed: {error}", error
         raise
     finally:
-        pipeline.close()
+        odometry.close()
         counts["frames_written"] = writer.frames_written
-        counts["frames_never_covered_by_imu"] = pipeline.dropped
-        counts.update(pipeline.counts)
+        counts["frames_never_covered_by_imu"] = odometry.dropped
+        counts.update(odometry.counts)
         summary = RunSummary(
             settings=settings,
             options=_options(options, source.start),
@@ -201,7 +201,7 @@ def _run(
             source=source.identity,
             counts=counts,
             warnings=_warnings(source.warnings, options, settings, counts),
-            not_started_because=pipeline.not_started_because,
+            not_started_because=odometry.not_started_because,
             ended=ended,
             wall_seconds=time.perf_counter() - began,
         )
@@ -243,11 +243,11 @@ def _warnings(
     return warnings
 
 
-def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
+def _options(options: RunOptions, start: Initializer) -> dict[str, str | int | None]:
     """What the run was asked for, beside its settings."""
     return {
-        "ego": "poses" if isinstance(start, GivenStart) else "filter",
-        "start": "truth" if isinstance(start, KnownStart) else "found",
+        "ego": "poses" if isinstance(start, GivenPosesInitializer) else "filter",
+        "start": "truth" if isinstance(start, KnownStateInitializer) else "found",
         "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
         "masks": None if options.masks is None else str(options.masks.resolve()),
         "mask_files": ", ".join(str(file) for file in options.mask_files if file) or None,
@@ -256,7 +256,9 @@ def _options(options: RunOptions, start: Start) -> dict[str, str | int | None]:
     }
 
 
-def make_start(sequence: RecordedSequence, settings: Settings, ego_poses: Path | None) -> Start:
+def make_initializer(
+    sequence: RecordedSequence, settings: Settings, ego_poses: Path | None
+) -> Initializer:
     """Where the ego motion comes from: a pose file if one is given, else the filter."""
     if ego_poses is not None:
         ego = read_ego_poses(ego_poses, sequence.frame_ns)
@@ -264,19 +266,19 @@ def make_start(sequence: RecordedSequence, settings: Settings, ego_poses: Path |
         if ego.body == "cam0":
             T = imu_poses_from_cam0(T, sequence.rig)
         stamps = ego.timestamp_ns[ego.known]
-        return GivenStart(GivenEgo(stamps, T, sequence.rig, settings.given_ego))
+        return GivenPosesInitializer(GivenPoses(stamps, T, sequence.rig, settings.given_ego))
     if sequence.imu is None:
         raise InputError.at(
             sequence.root,
             "has no IMU",
             "give the ego motion by --ego poses FILE (TUM, EuRoC or KITTI form)",
         )
-    return FilterStart(sequence.rig, imu_noise(sequence, settings), settings)
+    return FilterInitializer(sequence.rig, imu_noise(sequence, settings), settings)
 
 
-def known_start(
-    recording: FeatureRecording, settings: Settings, sigmas: StartSigmas, rig: StereoRig
-) -> KnownStart:
+def known_state_initializer(
+    recording: FeatureRecording, settings: Settings, sigmas: InitialSigmas, rig: StereoRig
+) -> KnownStateInitializer:
     """The filter's start at the truth of a simulation's first frame, exact biases included.
 
     A rig whose time offset is wrong puts that frame at another instant: the truth is that of then.
@@ -286,7 +288,7 @@ def known_start(
     then_ns = first_ns + round(1e9 * (rig.time_offset_s - simulation.rig.time_offset_s))
     T, velocity = simulation.path.pose(then_ns), simulation.path.velocity(then_ns)
     state = ImuState(T[:3, :3], T[:3, 3], velocity, truth.gyro_bias[0], truth.accel_bias[0])
-    return KnownStart(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
+    return KnownStateInitializer(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
 
 
 def imu_noise(sequence: RecordedSequence, settings: Settings) -> ImuNoise:
@@ -308,7 +310,7 @@ def noise_in_use(calibrated: ImuNoise | None, settings: Settings) -> ImuNoise:
 
 def _feed_all(
     stream: Iterable[Event],
-    pipeline: Pipeline,
+    odometry: Odometry,
     writer: RunWriter,
     counts: Counter[str],
     on_frame: Callable[[int], None],
@@ -319,7 +321,7 @@ def _feed_all(
             on_frame(counts["frames_read"] + counts["frames_without_pose"])
         else:
             counts["imu_samples_read"] += 1
-        for result in pipeline.feed(event):
+        for result in odometry.feed(event):
             writer.write(result)
             counts["stereo_matches"] += len(result.matches.accepted)
             counts["stereo_matches_refused"] += int(np.count_nonzero(~result.matches.accepted))
@@ -328,7 +330,7 @@ def _feed_all(
 
 
 def _saying(
-    stream: Iterable[Event], pipeline: Pipeline, on_wait: Callable[[str], None]
+    stream: Iterable[Event], odometry: Odometry, on_wait: Callable[[str], None]
 ) -> Iterator[Event]:
     """The events; once a second of the data without a start, why there is none is said."""
     said_ns: int | None = None
@@ -336,19 +338,21 @@ def _saying(
         yield event
         if isinstance(event, ImuSample):
             continue
-        if pipeline.started:
+        if odometry.started:
             said_ns = None
         elif said_ns is None:
             said_ns = event.timestamp_ns  # a start in the first second needs no words
         elif event.timestamp_ns - said_ns >= _SAY_EVERY_NS:
             said_ns = event.timestamp_ns
-            why = pipeline.not_started_because or "no frame is covered by the IMU"
+            why = odometry.not_started_because or "no frame is covered by the IMU"
             on_wait(f"no start at frame {event.timestamp_ns} ns: {why}")
 
 
-def _with_pose(stream: Iterable[Event], start: Start, counts: Counter[str]) -> Iterator[Event]:
+def _with_pose(
+    stream: Iterable[Event], start: Initializer, counts: Counter[str]
+) -> Iterator[Event]:
     """The events, without the frames for which a pose file has no pose; those are counted."""
-    if not isinstance(start, GivenStart):
+    if not isinstance(start, GivenPosesInitializer):
         yield from stream
         return
     counts["frames_without_pose"] = 0

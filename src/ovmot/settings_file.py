@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ovmot.config import Settings
 from ovmot.errors import InputError
+from ovmot.settings import Settings
 from ovmot.text_files import YamlError, parse_yaml, read_yaml
 
 SETTINGS_REMEDY = "list them with 'ovmot settings'"

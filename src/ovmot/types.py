@@ -49,7 +49,7 @@ class FeatureFrame:
     pixels: FloatArray
 
 
-def followed_pixels(pixels: FloatArray) -> FloatArray:
+def tracked_pixels(pixels: FloatArray) -> FloatArray:
     """Positions (..., 2) of features (..., 4) in the camera that follows them.
 
     That is the left one, but for features that the right camera follows by itself.
@@ -92,7 +92,7 @@ class FrontendFrame:
     `pixels` (N, 4) is u, v in the left and u, v in the right image, the right half NaN where no
     accepted stereo match exists, the left half where the right camera follows the feature by
     itself; `normalized` (N, 4) is the same in undistorted plane coordinates.
-    `hops` (N,) counts the frames through which KLT has carried the feature (0: new here);
+    `track_length` (N,) counts the frames through which KLT has carried the feature (0: new here);
     `two_view_inlier` (N,) is the verdict of the robust test between the last frame and this one.
     """
 
@@ -100,7 +100,7 @@ class FrontendFrame:
     feature_id: IntArray
     pixels: FloatArray
     normalized: FloatArray
-    hops: IntArray
+    track_length: IntArray
     two_view_inlier: BoolArray
 
     def __len__(self) -> int:

@@ -10,7 +10,7 @@ import pytest
 from ovmot.batch.jobs import METRICS_JSON, RunJob
 from ovmot.batch.plan import Features
 from ovmot.batch.work import work
-from ovmot.formats import write_tum
+from ovmot.datasets.pose_files import write_tum
 from ovmot.geometry import se3, so3
 from ovmot.settings_file import load_settings
 from ovmot.sim.miscalibration import CalibrationError

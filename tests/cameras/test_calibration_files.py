@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.cameras.euroc import read_euroc
-from ovmot.cameras.kalibr import read_kalibr
+from ovmot.datasets.euroc.calibration import read_euroc
+from ovmot.datasets.kalibr import read_kalibr
 from ovmot.errors import CalibrationError
 
 CHAIN = """\

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.datasets.kaist_calibration import read_kaist_calibration
-from ovmot.datasets.kitti_calibration import read_kitti_calibration
+from ovmot.datasets.kaist.calibration import read_kaist_calibration
+from ovmot.datasets.kitti.calibration import read_kitti_calibration
 from ovmot.errors import CalibrationError
 from ovmot.geometry import se3
 

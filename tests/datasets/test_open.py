@@ -13,8 +13,8 @@ from ovmot.cameras.calibration import Calibration
 from ovmot.datasets import open_sequence
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.imu import checked_imu
+from ovmot.datasets.pose_files import StampedTable
 from ovmot.errors import CalibrationError, DatasetError, InputError
-from ovmot.formats import StampedTable
 
 Edit = Callable[[Path, str, str], None]
 FIRST_NS = 1_403_636_580_000_000_555

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.cameras.vins import read_vins
 from ovmot.datasets import open_sequence
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.segmentation import Segmentation, SegmentationMasks, read_colours
+from ovmot.datasets.viode.calibration import read_vins
 from ovmot.errors import CalibrationError, DatasetError, InputError
 
 Edit = Callable[[Path, str, str], None]

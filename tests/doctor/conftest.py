@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from ovmot.formats import read_stamped_csv
+from ovmot.datasets.euroc.writer import write_asl
+from ovmot.datasets.pose_files import read_stamped_csv
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.sim.asl_writer import write_asl
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
 from ovmot.sim.sequence_files import write_rows

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ovmot.cameras.lens import LENSES
+from ovmot.cameras.models import LENSES
 from ovmot.cameras.rig import StereoRig
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.formats import Trajectory, read_tum
+from ovmot.datasets.pose_files import Trajectory, read_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 

@@ -8,11 +8,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from ovmot.datasets.pose_files import write_tum
 from ovmot.errors import InputError
 from ovmot.evaluation.ego import evaluate_ego, scalars
 from ovmot.evaluation.ego_truth import EgoTruth, read_ego_truth
 from ovmot.evaluation.run_files import EgoRun, read_ego_run
-from ovmot.formats import write_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 

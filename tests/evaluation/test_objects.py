@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ovmot.datasets.pose_files import write_tum
 from ovmot.evaluate import evaluate_run
 from ovmot.evaluation.ego_truth import read_ego_truth
 from ovmot.evaluation.matching import (
@@ -27,7 +28,6 @@ from ovmot.evaluation.object_files import Tracks
 from ovmot.evaluation.object_truth import TrueObjects
 from ovmot.evaluation.objects import evaluate_objects, object_scalars
 from ovmot.evaluation.tracking import clear_mot
-from ovmot.formats import write_tum
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 

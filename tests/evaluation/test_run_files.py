@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.datasets.pose_files import write_tum
 from ovmot.errors import InputError
 from ovmot.evaluation.run_files import read_ego_run
-from ovmot.formats import write_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.outputs.tables import CovarianceTable, StateTable, TrajectoryTable

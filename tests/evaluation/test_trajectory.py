@@ -3,6 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from ovmot.datasets.pose_files import Trajectory
 from ovmot.evaluation.alignment import ALIGNMENTS
 from ovmot.evaluation.trajectory import (
     PoseErrors,
@@ -14,7 +15,6 @@ from ovmot.evaluation.trajectory import (
     relative_errors,
     statistics,
 )
-from ovmot.formats import Trajectory
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 

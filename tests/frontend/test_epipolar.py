@@ -5,7 +5,6 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings
 from ovmot.frontend.epipolar import (
     epipolar_lines,
     gate_matches,
@@ -15,6 +14,7 @@ from ovmot.frontend.epipolar import (
 )
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
 LENSES = {
@@ -109,9 +109,9 @@ def test_a_match_moved_along_its_line_is_accepted() -> None:
     rig = rotated_rig("none")
     pixels = true_matches(rig)
     along = along_normals(rig, pixels, np.ones(len(pixels)))[:, 2:] - pixels[:, 2:]
-    slid = pixels.copy()
-    slid[:, 2:] += 20.0 * np.column_stack([-along[:, 1], along[:, 0]])
-    assert gate(rig, slid, ANGLE).distance_px.max() < 1e-6
+    drifted = pixels.copy()
+    drifted[:, 2:] += 20.0 * np.column_stack([-along[:, 1], along[:, 0]])
+    assert gate(rig, drifted, ANGLE).distance_px.max() < 1e-6
 
 
 def test_both_scales_agree_on_horizontal_lines() -> None:

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.config import TrackerSettings
-from ovmot.frontend.flow import build_pyramid, follow, follow_lost, likest_places
+from ovmot.frontend.flow import best_matching_places, build_pyramid, follow, recover_lost
 from ovmot.frontend.klt_kernel import margin_of
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
+from ovmot.settings import TrackerSettings
 
 SETTINGS = TrackerSettings(klt_window_px=15, klt_near_levels=3, klt_levels=4)
 
@@ -140,7 +140,7 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     first = follow(*pyramids, points, unknown(points), near, workers)
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
-    again = follow_lost(*pyramids, points, first, (points + shift)[None], points, near, workers)
+    again = recover_lost(*pyramids, points, first, (points + shift)[None], points, near, workers)
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
@@ -148,7 +148,7 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     flat[:, :150] = target[:, :150]
     pyramids = build_pyramid(source, near), build_pyramid(flat, near)
     nowhere = follow(*pyramids, points, unknown(points), near, workers)
-    again = follow_lost(*pyramids, points, nowhere, (points + shift)[None], points, near, workers)
+    again = recover_lost(*pyramids, points, nowhere, (points + shift)[None], points, near, workers)
     assert not again.found[points[:, 0] > 170].any()
 
 
@@ -165,7 +165,7 @@ def test_a_pyramid_stops_at_the_size_of_its_window() -> None:
 def test_patches_are_found_farther_than_flow_reaches(texture: AnyArray) -> None:
     before, after = (build_pyramid(picture(texture, s), SETTINGS) for s in ((0, 0), (36, 4)))
     points = np.array([[120.0, 90.0], [180.0, 110.0], [1.0, 1.0]])
-    found = likest_places(before, after, points, points, 60.0)
+    found = best_matching_places(before, after, points, points, 60.0)
     np.testing.assert_allclose(found[:2] - points[:2], [[36.0, 4.0]] * 2, atol=1.01)
     assert np.isnan(found[2]).all()  # its patch is not all in the picture
-    assert np.isnan(likest_places(before, after, points, points, 20.0)).all()
+    assert np.isnan(best_matching_places(before, after, points, points, 20.0)).all()

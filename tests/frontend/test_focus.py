@@ -3,10 +3,10 @@
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.frontend.focus import focus_mask
-from ovmot.frontend.tracker import StereoTracker
+from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry.arrays import Image
+from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import StereoFrame
 
 SETTINGS = TrackerSettings(

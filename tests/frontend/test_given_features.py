@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend.given_features import GivenFeatures
 from ovmot.geometry.arrays import FloatArray
+from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
 
@@ -51,9 +51,9 @@ def test_hops_count_frames_and_a_stray_track_fails_the_two_view_test(
     ids = np.arange(31)
     pixels = np.concatenate([second, [[100.0, 100.0, np.nan, np.nan]]])
     seen, _ = frontend.track(FeatureFrame(1, ids[::-1], pixels[::-1]), np.eye(4))
-    hops = dict(zip(seen.feature_id.tolist(), seen.hops.tolist(), strict=True))
-    assert hops.pop(30) == 0
-    assert set(hops.values()) == {1}
+    track_length = dict(zip(seen.feature_id.tolist(), seen.track_length.tolist(), strict=True))
+    assert track_length.pop(30) == 0
+    assert set(track_length.values()) == {1}
     assert seen.feature_id[~seen.two_view_inlier].tolist() == [3]
 
 
@@ -93,5 +93,5 @@ def test_each_camera_by_itself_takes_the_pairs_apart(painted_rig: StereoRig) -> 
     assert seen.feature_id[left].tolist() == [2 * k for k in range(30) if k != 7]
     assert seen.feature_id[~left].tolist() == [2 * k + 1 for k in range(30)]
     np.testing.assert_array_equal(seen.pixels[~left, 2:], second[:, 2:])
-    assert (seen.hops == 1).all()
+    assert (seen.track_length == 1).all()
     assert sorted(seen.feature_id[~seen.two_view_inlier].tolist()) == [6, 11]

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.datasets import open_sequence
-from ovmot.frontend.tracker import StereoTracker
+from ovmot.frontend.stereo_tracker import StereoTracker
+from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import StereoFrame
 
 

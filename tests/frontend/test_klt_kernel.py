@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.config import TrackerSettings
 from ovmot.frontend import klt_kernel
 from ovmot.frontend.flow import build_pyramid
-from ovmot.frontend.klt_kernel import follow_points_compiled
+from ovmot.frontend.klt_kernel import klt_track_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.settings import TrackerSettings
 
 WINDOW = 11
 SETTINGS = TrackerSettings(klt_window_px=WINDOW, klt_levels=5)
@@ -65,7 +65,7 @@ def test_it_finds_what_opencv_finds(
     points = rng.uniform([-4.0, -4.0], [304.0, 224.0], (600, 2))
     start = points + 0.8 * np.array(shift) + rng.uniform(-1.0, 1.0, points.shape)
     expected = by_opencv(source, target, points, start, n_levels)
-    uv, found, unlikeness = follow_points_compiled(
+    uv, found, photometric_residual = klt_track_compiled(
         build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels,
         WINDOW, points, start, n_levels,
     )  # fmt: skip
@@ -77,18 +77,18 @@ def test_it_finds_what_opencv_finds(
     assert np.median(off) < 1e-3
     assert np.quantile(off[well_inside(points[both])], 0.99) < 0.01  # at the rim half of it is lost
     assert np.quantile(off, 0.9) < 0.02
-    assert np.quantile(np.abs(unlikeness - expected[2])[both], 0.95) < 0.05
+    assert np.quantile(np.abs(photometric_residual - expected[2])[both], 0.95) < 0.05
 
 
 def test_the_plain_code_is_the_compiled_code() -> None:
     source, target = picture((0.0, 0.0), 0.0), picture((1.3, -0.6), 0.0)
     pyramids = build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels
     points = np.random.default_rng(4).uniform([20.0, 80.0], [280.0, 200.0], (20, 2))
-    uv, found, unlikeness = klt_kernel.follow_points(*pyramids, WINDOW, points, points, 3)
-    compiled = follow_points_compiled(*pyramids, WINDOW, points, points, 3)
+    uv, found, photometric_residual = klt_kernel.klt_track(*pyramids, WINDOW, points, points, 3)
+    compiled = klt_track_compiled(*pyramids, WINDOW, points, points, 3)
     np.testing.assert_allclose(compiled[0], uv, atol=1e-4)
     np.testing.assert_array_equal(compiled[1], found)
-    np.testing.assert_allclose(compiled[2], unlikeness, atol=1e-4)
+    np.testing.assert_allclose(compiled[2], photometric_residual, atol=1e-4)
 
 
 def test_wild_starts_are_not_found() -> None:
@@ -96,5 +96,5 @@ def test_wild_starts_are_not_found() -> None:
     levels = build_pyramid(source, SETTINGS).levels
     points = np.array([[150.0, 150.0], [1e9, 3.0], [150.0, 150.0], [-1e9, 1e9]])
     start = np.array([[1e12, 1e12], [5.0, 5.0], [-1e9, 150.0], [1e9, -1e9]])
-    _, found, _ = follow_points_compiled(levels, levels, WINDOW, points, start, 5)
+    _, found, _ = klt_track_compiled(levels, levels, WINDOW, points, start, 5)
     assert not found.any()

@@ -9,7 +9,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import (
     inverse_3x3,
-    project_plane,
+    project_normalized,
     project_stereo,
     squared_distance,
     stereo_covariance,
@@ -137,7 +137,7 @@ def camera_path(n: int = 8) -> FloatArray:
 
 def views_of(p_world: FloatArray, T_view_world: FloatArray) -> FloatArray:
     """Plane coordinates (F, V, 2) of points (F, 3)."""
-    return project_plane(se3.apply(T_view_world[None], p_world[:, None]))[0]
+    return project_normalized(se3.apply(T_view_world[None], p_world[:, None]))[0]
 
 
 @pytest.mark.parametrize("depth", [2.0, 10.0, 100.0])
@@ -154,7 +154,7 @@ def test_many_views_are_exact_without_noise(depth: float) -> None:
 def test_many_views_scatter_as_their_information_says() -> None:
     T, sigma, n = camera_path(), 1e-3, 3000
     p = np.array([0.8, -0.5, 8.0])
-    _, J = project_plane(se3.apply(T, p))
+    _, J = project_normalized(se3.apply(T, p))
     J = J @ T[:, :3, :3]
     information = np.einsum("vij,vik->jk", J, J) / sigma**2
     clean = views_of(p[None], T)

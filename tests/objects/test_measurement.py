@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
+from ovmot.feature_table import FeatureTable
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
-from ovmot.tracks import TrackTable
+from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
 Found = tuple[ObjectMeasurement, ...]
-Scene = tuple[TrackTable, ScenePoints, PoseWindow]
+Scene = tuple[FeatureTable, ScenePoints, PoseWindow]
 SIGMA = 0.3
 FRAMES = 12
-CALM = ObjectSettings(accel_sigma_mps2=0.0, slide_per_hop_px=0.0, slide_per_flow=0.0)
+CALM = ObjectSettings(accel_sigma_mps2=0.0, drift_per_frame_px=0.0, drift_per_flow=0.0)
 
 
 @pytest.fixture(scope="module")

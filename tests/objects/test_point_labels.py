@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.followed import FeatureMotions
+from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.point_labels import Speeds, label_points, speeds_of
 from ovmot.objects.track import Track, TrackState, start_track

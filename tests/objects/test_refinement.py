@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.objects.refinement import BodyViews, refine_bodies
+from ovmot.settings import ObjectSettings
 
-TOLD = ObjectSettings(slide_per_hop_px=0.0, slide_per_flow=0.0, pixel_sigma=0.3)
+TOLD = ObjectSettings(drift_per_frame_px=0.0, drift_per_flow=0.0, pixel_sigma=0.3)
 TURN = np.ones(2, dtype=np.bool_)
 TWIST = np.array([[0.0, 0.0, 0.2, 4.0, -1.0, 0.1], [0.02, -0.01, -0.3, -8.0, 0.5, 0.0]])
 

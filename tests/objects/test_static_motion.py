@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
 from ovmot.objects.static_motion import (
     FoundMotion,
     is_static_by_covariance,
     is_static_by_thresholds,
     known_part,
 )
+from ovmot.settings import ObjectSettings
 
 POINTS = np.array([[-1.0, 0.2, 15.0], [0.5, -0.3, 15.5], [0.2, 0.6, 16.0], [0.9, 0.1, 15.2]])
 TOLD = ObjectSettings(alpha_m=0.1, beta_m=0.4, gamma_px_m=15.0, delta_px=2.0, depth_weight=0.3)

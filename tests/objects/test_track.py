@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ovmot.config import ObjectTrackSettings
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.object_filter import Observation, distance
 from ovmot.objects.track import (
@@ -16,6 +15,7 @@ from ovmot.objects.track import (
     gaps,
     start_track,
 )
+from ovmot.settings import ObjectTrackSettings
 
 
 def measurement(seed: int, speed: float) -> ObjectMeasurement:

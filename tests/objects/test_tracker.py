@@ -8,12 +8,12 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectTrackSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.association import associate
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.tracker import ObjectTracker
+from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack, PointLabel, ScenePoints
 
 FRAME_NS = 100_000_000

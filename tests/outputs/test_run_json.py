@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import ovmot
-from ovmot.config import EpipolarSettings, Settings
 from ovmot.errors import OvmotError
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
+from ovmot.settings import EpipolarSettings, Settings
 from ovmot.types import ImuNoise
 
 

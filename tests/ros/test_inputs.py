@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.config import LiveSettings
 from ovmot.errors import InputError
 from ovmot.ros.inputs import InputTopic, input_topics, live_calibration, why_silent
+from ovmot.settings import LiveSettings
 
 LEFT = InputTopic("/left", "sensor_msgs/Image")
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ovmot.config import LiveSettings
 from ovmot.ros.intake import Batch, Intake
+from ovmot.settings import LiveSettings
 from ovmot.types import ImuSample
 
 MS = 1_000_000

@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ovmot.config import Settings
 from ovmot.datasets.registry import open_sequence
 from ovmot.evaluate import evaluate_run
 from ovmot.ros.messages import OBJECTS, ODOMETRY
 from ovmot.ros.sequence_bag import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
+from ovmot.settings import Settings
 from ovmot.types import ImuData
 
 RATE = float(os.environ.get("OVMOT_ROS_RATE", "1.0"))

@@ -8,11 +8,11 @@ import pytest
 import yaml
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import Settings
 from ovmot.datasets import open_recording
 from ovmot.datasets.stream import events
 from ovmot.ros.sequence_bag import write_sequence_bag
 from ovmot.run import RunOptions, run_sequence
+from ovmot.settings import Settings
 from ovmot.types import ImuSample, StereoFrame
 
 KINDS = ("tiny.bag", "tiny.mcap", "tiny")

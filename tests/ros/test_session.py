@@ -10,13 +10,13 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import LiveSettings
 from ovmot.errors import OvmotError
 from ovmot.geometry import se3
 from ovmot.ros.intake import Intake
 from ovmot.ros.messages import OBJECTS, OVERLAY, PATH, STATIC_POINTS, TF
 from ovmot.ros.session import IMU_ODOMETRY, Session
 from ovmot.ros.values import Published
+from ovmot.settings import LiveSettings
 from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
 
 MS = 1_000_000
@@ -40,7 +40,7 @@ class Sink:
         return Counter(published.topic for published in self.sent)
 
 
-class Pipeline:
+class Odometry:
     """Gives the same result for each frame, with its stamp; breaks down at 13."""
 
     started, not_started_because = True, None
@@ -75,10 +75,10 @@ class Setup:
         rig = StereoRig(camera, camera, np.eye(4), T)
         self.intake, self.sink = Intake(settings), sink
         self.said: list[str] = []
-        self.pipelines: list[Pipeline] = []
+        self.pipelines: list[Odometry] = []
 
         def make() -> Any:
-            self.pipelines.append(Pipeline(result))
+            self.pipelines.append(Odometry(result))
             return self.pipelines[-1]
 
         self.session = Session(self.intake, make, rig, settings, sink, self.said.append)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.config import LiveSettings, Settings
 from ovmot.datasets import open_sequence
 from ovmot.datasets.stream import events
 from ovmot.ros import messages
@@ -16,6 +15,7 @@ from ovmot.ros.intake import Intake
 from ovmot.ros.typestore import filled, typestore
 from ovmot.ros.values import Published, image
 from ovmot.ros.worker import Worker
+from ovmot.settings import LiveSettings, Settings
 from ovmot.types import ImuSample, StereoFrame
 
 SETTINGS = Settings.model_validate(

@@ -10,13 +10,13 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import Settings
 from ovmot.errors import InputError
 from ovmot.frontend.given_features import GivenFeatures
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.settings import Settings
 from ovmot.sim.features import (
     FeatureBody,
     FeatureOptions,

@@ -9,13 +9,13 @@ import pytest
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
-from ovmot.msckf.propagation import Integrator, integrate_discrete, integrate_rk4
 from ovmot.sim.imu import GRAVITY_MPS2, noisy_imu, perfect_imu
 from ovmot.sim.paths import drive_path, standing_path
 from ovmot.sim.profiles import Road, SmoothSteps
 from ovmot.sim.recorded_paths import recorded_path
 from ovmot.sim.walk import stroll, walk_path
 from ovmot.types import ImuData, ImuNoise
+from ovmot.vio.propagation import Integrator, integrate_discrete, integrate_rk4
 
 ORIGIN = 1_500_000_000_000_000_000
 

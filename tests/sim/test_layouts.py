@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.camera import Camera
-from ovmot.cameras.lens import LENSES
+from ovmot.cameras.models import LENSES
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.registry import open_sequence
 from ovmot.datasets.segmentation import SegmentationMasks

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.datasets.pose_files import interpolate_poses, read_tum, write_tum
 from ovmot.errors import InputError
-from ovmot.formats import interpolate_poses, read_tum, write_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
 from ovmot.sim.paths import MARGIN_S, rotation_z

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.pose_files import read_stamped_csv
 from ovmot.errors import InputError
-from ovmot.formats import read_stamped_csv
 from ovmot.sim.imu_errors import ImuErrors
 from ovmot.sim.render import camera_rays, render_picture
 from ovmot.sim.rigs import rectified, without_distortion

@@ -8,7 +8,7 @@ from typing import Any
 
 import ovmot
 from ovmot.batch.plan import Plan, Recorded, Rendered, Sequence
-from ovmot.config import Settings
+from ovmot.settings import Settings
 
 METRICS_JSON, JOB_JSON = "metrics.json", "job.json"
 

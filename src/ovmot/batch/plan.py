@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, ValidationError, field_validator, model_validator
 
-from ovmot.config import Section, Settings
 from ovmot.errors import InputError
+from ovmot.settings import Section, Settings
 from ovmot.settings_file import SETTINGS_REMEDY, plain_messages, read_yaml_mapping
 from ovmot.sim.miscalibration import CalibrationError
 

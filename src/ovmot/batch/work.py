@@ -106,5 +106,5 @@ def _run_features(job: RunJob, spec: Features) -> None:
     if spec.calibration_error is not None:
         rng = np.random.default_rng([job.seed, _CALIBRATION_STREAM])
         told = miscalibrated(simulation.rig, spec.calibration_error, rng)
-    run_features(recording, job.settings, RunOptions(job.folder, force=True), told_rig=told)
+    run_features(recording, job.settings, RunOptions(job.folder, force=True), initial_rig=told)
     write_metrics(job.folder, evaluate_features(job.folder, recording, told))

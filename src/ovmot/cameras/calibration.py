@@ -15,7 +15,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.text_files import read_yaml
 from ovmot.types import ImuNoise
 
-LENS_NAMES = {
+MODEL_NAMES = {
     "radtan": "radtan",
     "radial-tangential": "radtan",
     "plumb_bob": "radtan",
@@ -128,9 +128,9 @@ class CalibrationNode:
     def lens(self, key: str) -> str:
         """Our name of the lens model."""
         name = str(self.value(key)).strip().lower()
-        if name not in LENS_NAMES:
-            raise self.fail(key, f"unknown lens model '{name}'", f"known: {', '.join(LENS_NAMES)}")
-        return LENS_NAMES[name]
+        if name not in MODEL_NAMES:
+            raise self.fail(key, f"unknown lens model '{name}'", f"known: {', '.join(MODEL_NAMES)}")
+        return MODEL_NAMES[name]
 
 
 def load_calibration_yaml(path: Path) -> CalibrationNode:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.cameras.lens import LENSES, Lens
+from ovmot.cameras.models import LENSES, CameraModel
 from ovmot.errors import CalibrationError
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
@@ -23,7 +23,7 @@ class Camera:
     width: int
     height: int
     intrinsics: FloatArray
-    lens: Lens
+    lens: CameraModel
     distortion: FloatArray
 
     def __post_init__(self) -> None:
@@ -98,13 +98,13 @@ class Camera:
         """Pixels (..., 2) and their derivative by the point (..., 2, 3), pixels per metre."""
         z = np.where(points_cam[..., 2] > 0.0, points_cam[..., 2], np.nan)
         xy = points_cam[..., :2] / z[..., None]
-        J_lens, _ = self.lens.distort_jacobian(xy, self.distortion)
+        J_intrinsics, _ = self.lens.distort_jacobian(xy, self.distortion)
         plane = np.zeros((*xy.shape[:-1], 2, 3))
         plane[..., 0, 0] = plane[..., 1, 1] = 1.0 / z
         plane[..., 0, 2] = -xy[..., 0] / z
         plane[..., 1, 2] = -xy[..., 1] / z
         A = np.array([[self.fx, self.intrinsics[4]], [0.0, self.fy]])
-        return self.denormalize(xy), A @ J_lens @ plane
+        return self.denormalize(xy), A @ J_intrinsics @ plane
 
     def inside(self, pixels: FloatArray, border: float = 0.0) -> BoolArray:
         """Which pixels (..., 2) lie in the image, at least `border` pixels from its edge."""

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.cameras.euroc import read_euroc
+from ovmot.datasets.euroc.calibration import read_euroc
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import (
     StereoListing,
@@ -15,8 +15,8 @@ from ovmot.datasets.frames import (
     present_images,
 )
 from ovmot.datasets.imu import checked_imu
+from ovmot.datasets.pose_files import read_stamped_csv, read_stamped_names
 from ovmot.errors import InputError
-from ovmot.formats import read_stamped_csv, read_stamped_names
 from ovmot.types import ImuData
 
 _IMU_COLUMNS = 7  # ns, gyro xyz, accel xyz

@@ -8,8 +8,8 @@ import numpy as np
 
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.images import SUFFIXES
+from ovmot.datasets.pose_files import StampedNames, is_stamp
 from ovmot.errors import DatasetError
-from ovmot.formats import StampedNames, is_stamp
 from ovmot.geometry.arrays import IntArray
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.datasets.findings import Findings
+from ovmot.datasets.pose_files import StampedTable, ns_to_seconds
 from ovmot.errors import DatasetError
-from ovmot.formats import StampedTable, ns_to_seconds
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 

@@ -4,21 +4,21 @@ from pathlib import Path
 from typing import Protocol
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.cameras.kalibr import read_kalibr
-from ovmot.config import ImuSettings
-from ovmot.datasets.bag import read_bag
-from ovmot.datasets.bag_file import bag_at
-from ovmot.datasets.bag_topics import BagTopics
-from ovmot.datasets.euroc import EurocReader
-from ovmot.datasets.four_seasons import FourSeasonsReader
-from ovmot.datasets.kaist import KaistReader
-from ovmot.datasets.kitti import KittiReader
-from ovmot.datasets.kitti_raw import KittiRawReader
+from ovmot.datasets.bag.file import bag_at
+from ovmot.datasets.bag.reader import read_bag
+from ovmot.datasets.bag.topics import BagTopics
+from ovmot.datasets.euroc.reader import EurocReader
+from ovmot.datasets.four_seasons.reader import FourSeasonsReader
+from ovmot.datasets.kaist.reader import KaistReader
+from ovmot.datasets.kalibr import read_kalibr
+from ovmot.datasets.kitti.reader import KittiReader
+from ovmot.datasets.kitti_raw.reader import KittiRawReader
 from ovmot.datasets.sequence import FolderSequence, RecordedSequence
-from ovmot.datasets.tum_vi import TumViReader
-from ovmot.datasets.uzh_fpv import UzhFpvReader
-from ovmot.datasets.viode import ViodeReader
+from ovmot.datasets.tum_vi.reader import TumViReader
+from ovmot.datasets.uzh_fpv.reader import UzhFpvReader
+from ovmot.datasets.viode.reader import ViodeReader
 from ovmot.errors import InputError
+from ovmot.settings import ImuSettings
 
 
 class Reader(Protocol):

@@ -14,8 +14,8 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import numbered_images
+from ovmot.datasets.pose_files import read_lines
 from ovmot.errors import DatasetError, InputError
-from ovmot.formats import read_lines
 from ovmot.geometry.arrays import Image
 
 _MOST_ID = 2**31

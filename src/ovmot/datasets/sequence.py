@@ -12,9 +12,9 @@ from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
+from ovmot.datasets.pose_files import ns_to_seconds
 from ovmot.datasets.segmentation import Segmentation
 from ovmot.errors import DatasetError
-from ovmot.formats import ns_to_seconds
 from ovmot.geometry.arrays import Image, IntArray
 from ovmot.types import ImuData, ImuNoise
 

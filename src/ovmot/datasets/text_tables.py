@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.errors import DatasetError
-from ovmot.formats import (
+from ovmot.datasets.pose_files import (
     Lines,
     StampedNames,
     StampedTable,
@@ -13,6 +12,7 @@ from ovmot.formats import (
     read_lines,
     seconds_to_ns,
 )
+from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
 
 _REMEDY = "correct or delete the row"

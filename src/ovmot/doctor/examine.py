@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ImuSettings
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.doctor.images import check_images
 from ovmot.doctor.imu_units import (
@@ -20,6 +19,7 @@ from ovmot.doctor.stereo_geometry import check_stereo
 from ovmot.doctor.time_offset import check_gyro, compare_turns
 from ovmot.doctor.timing import check_coverage, check_frame_times, check_imu_times
 from ovmot.doctor.turns import Turns, turns_of
+from ovmot.settings import ImuSettings
 from ovmot.types import ImuData
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.doctor.images import PairLook, look_at
-from ovmot.frontend.tracker import StereoTracker
+from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import ImuData, StereoFrame
 
 N_STRETCHES, STRETCH_FRAMES = 3, 30

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ovmot.cameras.camera import Camera
-from ovmot.cameras.lens import LENSES
+from ovmot.cameras.models import LENSES
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity
 from ovmot.errors import CalibrationError
 from ovmot.frontend.epipolar import epipolar_lines
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.settings import EpipolarSettings
 
 _GATE_PX = EpipolarSettings().threshold_px
 _LEAST_MATCHES = 60
@@ -141,20 +141,20 @@ def alternatives(rig: StereoRig) -> dict[str, StereoRig]:
     swapped = replace(
         rig, cam0=rig.cam1, cam1=rig.cam0, T_imu_cam0=rig.T_imu_cam1, T_imu_cam1=rig.T_imu_cam0
     )
-    return {"images": swapped, "direction": inverted, **_other_lenses(rig)}
+    return {"images": swapped, "direction": inverted, **_other_models(rig)}
 
 
-def _other_lenses(rig: StereoRig) -> dict[str, StereoRig]:
+def _other_models(rig: StereoRig) -> dict[str, StereoRig]:
     """The rig with pinhole and fisheye model exchanged, the numbers left as they are."""
     other = {"radtan": "equidistant", "none": "equidistant", "equidistant": "radtan"}
     try:
-        cameras = [_with_lens(c, other[c.lens.name]) for c in rig.cameras]
+        cameras = [_with_model(c, other[c.lens.name]) for c in rig.cameras]
     except (KeyError, CalibrationError):
         return {}
     return {"lens": replace(rig, cam0=cameras[0], cam1=cameras[1])}
 
 
-def _with_lens(camera: Camera, name: str) -> Camera:
+def _with_model(camera: Camera, name: str) -> Camera:
     coefficients = np.resize(camera.distortion, 4) if len(camera.distortion) else np.zeros(4)
     return replace(camera, lens=LENSES[name], distortion=coefficients)
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.config import FilterSettings
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity
 from ovmot.doctor.turns import Turns
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import FilterSettings
 from ovmot.types import ImuData
 
 SEARCH_S, STEP_S = 0.3, 0.005

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ovmot.datasets.pose_files import Trajectory, interpolate_poses, ns_to_seconds
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluation.alignment import ALIGNMENTS, align_first
 from ovmot.evaluation.association import associate_stamps
@@ -21,7 +22,6 @@ from ovmot.evaluation.trajectory import (
     relative_errors,
     statistics,
 )
-from ovmot.formats import Trajectory, interpolate_poses, ns_to_seconds
 from ovmot.geometry.arrays import FloatArray, IntArray
 
 ATE_ALIGNMENTS = ("yaw", "se3", "sim3", "none")

@@ -5,8 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ovmot.datasets.pose_files import (
+    column_count,
+    read_euroc_ground_truth,
+    read_stamped_csv,
+    read_tum,
+)
 from ovmot.errors import InputError
-from ovmot.formats import column_count, read_euroc_ground_truth, read_stamped_csv, read_tum
 from ovmot.geometry.arrays import FloatArray, IntArray
 
 _EUROC = "state_groundtruth_estimate0"

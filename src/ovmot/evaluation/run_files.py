@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
 from ovmot.evaluation.table_files import REMEDY, read_table
-from ovmot.formats import read_tum
 from ovmot.geometry.arrays import FloatArray, IntArray
 
 _AXES = ("x", "y", "z")

@@ -10,8 +10,8 @@ import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
 _MIN_MATCHES = 20

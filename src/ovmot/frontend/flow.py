@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ovmot.config import TrackerSettings
-from ovmot.frontend.klt_kernel import BACK_LEVELS, follow_points_compiled, margin_of
+from ovmot.frontend.klt_kernel import BACK_LEVELS, klt_track_compiled, margin_of
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.settings import TrackerSettings
 
 _SEARCHED_HALF = 4  # pixels of the half-size image around a patch that is searched for
 _LEAST_ALIKE = 0.8  # correlation
-_COMMON, _UNLIKE = 0.9, 2.0  # a find is chance beyond twice what nine in ten are unlike
+_COMMON, _MAX_RESIDUAL_RATIO = 0.9, 2.0  # a find is chance beyond twice what nine in ten are unlike
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Flow:
 
     uv: FloatArray
     found: BoolArray
-    unlikeness: FloatArray
+    photometric_residual: FloatArray
 
 
 def follow(
@@ -67,7 +67,7 @@ def follow(
     return _follow_halves(source, target, points, start, settings.klt_near_levels, workers)
 
 
-def follow_lost(
+def recover_lost(
     source: Pyramid,
     target: Pyramid,
     points: FloatArray,
@@ -86,18 +86,22 @@ def follow_lost(
     """
     if not flow.found.any():
         return flow
-    bound = _UNLIKE * float(np.quantile(flow.unlikeness[flow.found], _COMMON))
-    uv, found, unlikeness = flow.uv.copy(), flow.found.copy(), flow.unlikeness.copy()
+    bound = _MAX_RESIDUAL_RATIO * float(np.quantile(flow.photometric_residual[flow.found], _COMMON))
+    uv, found, photometric_residual = (
+        flow.uv.copy(),
+        flow.found.copy(),
+        flow.photometric_residual.copy(),
+    )
     levels = [settings.klt_near_levels] * len(starts) + [settings.klt_levels]
     for start, n_levels in zip((*starts, around), levels, strict=True):
         lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))
         again = _follow_halves(source, target, points[lost], start[lost], n_levels, workers)
-        uv[lost], unlikeness[lost] = again.uv, again.unlikeness
-        found[lost] = again.found & (again.unlikeness < bound)
-    return Flow(uv, found, unlikeness)
+        uv[lost], photometric_residual[lost] = again.uv, again.photometric_residual
+        found[lost] = again.found & (again.photometric_residual < bound)
+    return Flow(uv, found, photometric_residual)
 
 
-def likest_places(
+def best_matching_places(
     source: Pyramid, target: Pyramid, points: FloatArray, around: FloatArray, reach_px: float
 ) -> FloatArray:
     """Where in `target` the patches of `points` (N, 2) of `source` are likest (N, 2), NaN for none.
@@ -140,10 +144,10 @@ def _follow_halves(
     half = (len(points) + 1) // 2
     jobs = [
         workers.submit(
-            follow_points_compiled, source.levels, target.levels, source.window,
+            klt_track_compiled, source.levels, target.levels, source.window,
             points[part], begin[part], min(n_levels, len(source.levels)),
         )
         for part in (slice(0, half), slice(half, None))
     ]  # fmt: skip
-    uv, found, unlikeness = zip(*(job.result() for job in jobs), strict=True)
-    return Flow(np.concatenate(uv), np.concatenate(found), np.concatenate(unlikeness))
+    uv, found, photometric_residual = zip(*(job.result() for job in jobs), strict=True)
+    return Flow(np.concatenate(uv), np.concatenate(found), np.concatenate(photometric_residual))

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings, TrackerSettings
-from ovmot.frontend.separate import LEFT, RIGHT, SeparateTracker
-from ovmot.frontend.tracker import StereoTracker
+from ovmot.frontend.monocular_tracker import LEFT, RIGHT, MonocularTracker
+from ovmot.frontend.stereo_tracker import StereoTracker
+from ovmot.settings import EpipolarSettings, TrackerSettings
 
-ImageFrontEnd = StereoTracker | SeparateTracker
+ImageFrontEnd = StereoTracker | MonocularTracker
 
 FRONT_ENDS: dict[str, Callable[[StereoRig, TrackerSettings, EpipolarSettings], ImageFrontEnd]] = {
     "stereo": StereoTracker,
-    "left": lambda rig, settings, _: SeparateTracker(rig, settings, (LEFT,)),
-    "each": lambda rig, settings, _: SeparateTracker(rig, settings, (LEFT, RIGHT)),
+    "left": lambda rig, settings, _: MonocularTracker(rig, settings, (LEFT,)),
+    "each": lambda rig, settings, _: MonocularTracker(rig, settings, (LEFT, RIGHT)),
 }

@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import EpipolarSettings, TrackerSettings
 from ovmot.errors import OvmotError
 from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
 
@@ -98,14 +98,14 @@ class GivenFeatures:
         self, timestamp_ns: int, ids: IntArray, pixels: FloatArray, normalized: FloatArray
     ) -> FrontendFrame:
         """Hops and the two-view verdict, from the last frame's features of the same ids."""
-        hops = np.zeros(len(ids), dtype=np.int64)
+        track_length = np.zeros(len(ids), dtype=np.int64)
         inlier = np.ones(len(ids), dtype=np.bool_)
         before = self._before
         if before is not None:
             _, now, then = np.intersect1d(
                 ids, before.feature_id, assume_unique=True, return_indices=True
             )
-            hops[now] = before.hops[then] + 1
+            track_length[now] = before.track_length[then] + 1
             of_left = np.isfinite(pixels[now, 0])
             for view, camera, own in (
                 (slice(0, 2), self._rig.cam0, of_left),
@@ -116,4 +116,4 @@ class GivenFeatures:
                     normalized[now[own], view],
                     self._settings.two_view_threshold_px / camera.fx,
                 )
-        return FrontendFrame(timestamp_ns, ids, pixels, normalized, hops, inlier)
+        return FrontendFrame(timestamp_ns, ids, pixels, normalized, track_length, inlier)

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.kernel_cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled
 
 MAX_STEPS = 20
 SMALL_STEP_PX = 0.01
@@ -40,7 +40,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def _compiled(function: _F) -> _F:
-    """A part of `follow_points`: compiled into it, with no code of its own on disk."""
+    """A part of `klt_track`: compiled into it, with no code of its own on disk."""
     return compiled(function, None, reorder=True)
 
 
@@ -116,7 +116,7 @@ def _mismatch(
 
 
 @_compiled
-def _unlikeness(seen: _Float32, wide: _Float32, side: int, stride: int) -> float:
+def _photometric_residual(seen: _Float32, wide: _Float32, side: int, stride: int) -> float:
     """The mean difference of what is seen from the window inside the wide one."""
     total = 0.0
     for i in range(side):
@@ -208,7 +208,7 @@ def _track(
         return u, v, False, 0.0
     _cut(target[0], left + margin, top + margin, side + 1, stride, block)
     _between(block, lanes, stride, x - left, y - top, seen)
-    return u, v, True, _unlikeness(seen, wide, side, stride)
+    return u, v, True, _photometric_residual(seen, wide, side, stride)
 
 
 def margin_of(side: int) -> int:
@@ -216,7 +216,7 @@ def margin_of(side: int) -> int:
     return side + 2
 
 
-def follow_points(
+def klt_track(
     source: _Images,
     target: _Images,
     side: int,
@@ -230,19 +230,19 @@ def follow_points(
     sides; `side` of the window. Positions (N, 2), found (N,) and unlikeness (N,) as in `flow.Flow`.
     """
     n = len(points)
-    uv, found, unlikeness = start.copy(), np.zeros(n, dtype=np.bool_), np.zeros(n)
+    uv, found, photometric_residual = start.copy(), np.zeros(n, dtype=np.bool_), np.zeros(n)
     room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
     for i in range(n):
         u0, v0 = points[i]
         u, v, ok, unlike = _track(
             source, target, n_levels, side, room, u0, v0, start[i, 0], start[i, 1]
         )
-        uv[i, 0], uv[i, 1], unlikeness[i] = u, v, unlike
+        uv[i, 0], uv[i, 1], photometric_residual[i] = u, v, unlike
         if ok:
             back_levels = min(BACK_LEVELS, len(source))
             u, v, ok, _ = _track(target, source, back_levels, side, room, u, v, u0, v0)
             found[i] = ok and math.hypot(u - u0, v - v0) < MAX_ROUND_TRIP_PX
-    return uv, found, unlikeness
+    return uv, found, photometric_residual
 
 
-follow_points_compiled = compiled(follow_points, code_folder(Path(__file__)))
+klt_track_compiled = compiled(klt_track, code_folder(Path(__file__)))

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernel_cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled
 
 _Float32 = npt.NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernel_cache import code_folder, compiled, part
+from ovmot.kernels.cache import code_folder, compiled, part
 
 
 @part

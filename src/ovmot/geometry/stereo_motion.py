@@ -8,7 +8,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import (
     inverse_3x3,
-    project_plane,
+    project_normalized,
     project_stereo,
     stereo_covariance,
     triangulate_stereo,
@@ -195,8 +195,8 @@ def _residuals(
     inverse_depth = point[:, 2:]
     turned = np.concatenate([point[:, :2], np.ones_like(inverse_depth)], axis=1) @ T[:3, :3].T
     q = turned + inverse_depth * T[:3, 3]
-    h0, J0 = project_plane(q)
-    h1, J1 = project_plane(q @ T_c1_c0[:3, :3].T + inverse_depth * T_c1_c0[:3, 3])
+    h0, J0 = project_normalized(q)
+    h1, J1 = project_normalized(q @ T_c1_c0[:3, :3].T + inverse_depth * T_c1_c0[:3, 3])
     by_q = np.concatenate([J0, J1 @ T_c1_c0[:3, :3]], axis=1) / sigma[:, None]
     by_depth = by_q @ T[:3, 3:]
     by_depth[:, 2:] += (J1 @ T_c1_c0[:3, 3:]) / sigma[2:, None]

@@ -34,7 +34,7 @@ def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> Float
     return np.where(behind[..., None], np.nan, ray0 * depth[..., None])
 
 
-def project_plane(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
+def project_normalized(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Plane coordinates (..., 2) of camera points (..., 3), and their derivative (..., 2, 3)."""
     z = points_cam[..., 2]
     xy = points_cam[..., :2] / z[..., None]
@@ -47,8 +47,8 @@ def project_plane(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Both views (..., 4) of left camera points (..., 3), and their derivative (..., 4, 3)."""
-    xy0, J0 = project_plane(p_cam0)
-    xy1, J1 = project_plane(se3.apply(T_cam1_cam0, p_cam0))
+    xy0, J0 = project_normalized(p_cam0)
+    xy1, J1 = project_normalized(se3.apply(T_cam1_cam0, p_cam0))
     J = np.concatenate([J0, J1 @ T_cam1_cam0[:3, :3]], axis=-2)
     return np.concatenate([xy0, xy1], axis=-1), J
 
@@ -192,9 +192,9 @@ def _inverse_depth_system(
     h = (T[..., :3, :3] @ ray[:, None, :, None])[..., 0] + state[:, None, 2:] * T[..., :3, 3]
     behind = (h[..., 2] < 1e-6) & (weight > 0.0)
     h = np.where(behind[..., None], np.array([0.0, 0.0, 1.0]), h)
-    plane, J_plane = project_plane(h)
+    plane, J_normalized = project_normalized(h)
     columns = np.concatenate([T[..., :3, :2], T[..., :3, 3:]], axis=-1)
-    J = J_plane @ columns * weight[..., None, None]
+    J = J_normalized @ columns * weight[..., None, None]
     r = (xy - plane) * weight[..., None]
     cost = (r * r).sum((1, 2)) + 1e3 * behind.sum(1)
     J, r = J.reshape(len(J), -1, 3), r.reshape(len(r), -1, 1)

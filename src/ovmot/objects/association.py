@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.id_sets import contained
+from ovmot.geometry.id_sets import contained
 
 _GATE = 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
 _SHARED = 2  # features that make a pair possible though the state says no

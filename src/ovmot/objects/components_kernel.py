@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import IntArray
-from ovmot.kernel_cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled
 
 
 def components(pairs: IntArray, n: int) -> IntArray:

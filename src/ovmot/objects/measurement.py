@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
+from ovmot.feature_table import FeatureTable
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.grouping import (
+from ovmot.objects.clustering import (
     MotionHistory,
     group_points,
     main_owner,
@@ -18,7 +18,7 @@ from ovmot.objects.grouping import (
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
 from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion, known_part
-from ovmot.tracks import TrackTable
+from ovmot.settings import ObjectSettings
 from ovmot.types import PoseWindow, ScenePoints
 
 _LEAK = 0.3  # of a wrong motion along the ray, across it: rays of a body differ in direction
@@ -69,7 +69,7 @@ class _Body:
 
 
 def measure_objects(
-    table: TrackTable,
+    table: FeatureTable,
     points: ScenePoints,
     window: PoseWindow,
     rig: StereoRig,
@@ -186,7 +186,7 @@ def _views_of(
         body=body,
         T_world_cam0=np.concatenate([T_world_cam0[past.clone_index[rows]], now]),
         span_s=np.concatenate([past.span_s[rows], none]),
-        hops=np.concatenate([history.hops[rows].astype(np.float64), none]),
+        track_length=np.concatenate([history.track_length[rows].astype(np.float64), none]),
         origin=se3.apply(T_now, centre),
     )
     T_now_then = np.stack([group.T_now_then for group in found])

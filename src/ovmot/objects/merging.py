@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ovmot.config import ObjectTrackSettings
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import DRIVES_MPS, Track, TrackState
+from ovmot.settings import ObjectTrackSettings
 
 _SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
 _ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.followed import FeatureMotions, rest_or_body
+from ovmot.objects.feature_motions import FeatureMotions, rest_or_body
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.region import inside
 from ovmot.objects.track import Track, TrackState

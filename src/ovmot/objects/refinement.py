@@ -13,17 +13,17 @@ import numpy as np
 from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.refinement_kernel import Sightings, reduce_points_compiled
+from ovmot.settings import ObjectSettings
 
 _ITERATIONS = 6
 _WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
 _SMALL_STEP = 0.02  # squared sigmas: of a step after which the next one is nothing
 _HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
 _OUTLIER_SHARE = 0.001  # of good points that count as wrong
-_PRIOR_FREEDOM = 20.0  # degrees of freedom that the noise told counts for
+_PRIOR_DOF = 20.0  # degrees of freedom that the noise told counts for
 _MIN_INVERSE_DEPTH = 1e-3
 
 
@@ -33,14 +33,14 @@ class BodyViews:
 
     `seen` (V, M, 4): plane coordinates, NaN where unseen; all are seen now. `body` (M,): whose
     point. `T_world_cam0` (V, B, 4, 4), `span_s` (V, B): pose and age of each body's views.
-    `hops` (V, B): frames through which a point was followed since. `origin` (B, 3) in world.
+    `track_length` (V, B): frames over which a point was tracked. `origin` (B, 3) in world.
     """
 
     seen: FloatArray
     body: IntArray
     T_world_cam0: FloatArray
     span_s: FloatArray
-    hops: FloatArray
+    track_length: FloatArray
     origin: FloatArray
 
     @property
@@ -89,9 +89,9 @@ def refine_bodies(
     prior[:, :3] = told.tilt_rate_sigma_rps**-2.0
     prior[may_turn, 2] = told.yaw_rate_sigma_rps**-2.0
     sightings, valid = sightings_of(views, rig, told)
-    freedom = 4 * valid.sum(0) - 3
-    huber = np.sqrt(chdtri(freedom, _HUBER_SHARE))
-    bound = chdtri(freedom, _OUTLIER_SHARE)
+    dof = 4 * valid.sum(0) - 3
+    huber = np.sqrt(chdtri(dof, _HUBER_SHARE))
+    bound = chdtri(dof, _OUTLIER_SHARE)
     point = np.column_stack([p_cam0[:, :2], np.ones(len(p_cam0))]) / p_cam0[:, 2:]
     held = np.eye(6) * (prior[:, None] + 1e-6)
     for iteration in range(_ITERATIONS):
@@ -115,9 +115,9 @@ def refine_bodies(
     # Misfit beyond the noise told widens the covariance; less misfit is only reported.
     kept = np.where(reduced.inlier, 1.0, 0.0)
     total = np.bincount(views.body, reduced.weight * reduced.left, n_bodies)
-    free = np.bincount(views.body, kept * freedom, n_bodies)
+    free = np.bincount(views.body, kept * dof, n_bodies)
     widen = np.maximum(1.0, total / np.maximum(free, 1.0))[:, None, None]
-    misfit = np.minimum(1.0, (total + _PRIOR_FREEDOM) / (free + _PRIOR_FREEDOM))
+    misfit = np.minimum(1.0, (total + _PRIOR_DOF) / (free + _PRIOR_DOF))
     to_world, p_world = _world_points(point, views)
     return RefinedBodies(
         twist=twist,
@@ -143,14 +143,14 @@ def sightings_of(
     focal = np.array([f0[0], f0[1], f1[0], f1[1]])
     valid = np.asarray(np.isfinite(views.seen).all(-1), np.bool_)
     flow = np.linalg.norm((views.seen - views.seen[-1])[..., :2] * focal[:2], axis=-1)
-    slide = views.hops[:, views.body] * told.slide_per_hop_px**2
-    slide = slide + (told.slide_per_flow * np.nan_to_num(flow)) ** 2
+    drift = views.track_length[:, views.body] * told.drift_per_frame_px**2
+    drift = drift + (told.drift_per_flow * np.nan_to_num(flow)) ** 2
     half = np.sqrt(0.5)
     into_view, out_of_now = views.about_origin
     sightings = Sightings(
         seen=np.ascontiguousarray(views.seen),
         by_difference=np.where(valid, half / told.pixel_sigma, 0.0),
-        by_sum=np.where(valid, half / np.sqrt(told.pixel_sigma**2 + 2.0 * slide), 0.0),
+        by_sum=np.where(valid, half / np.sqrt(told.pixel_sigma**2 + 2.0 * drift), 0.0),
         body=views.body,
         span_s=np.ascontiguousarray(views.span_s),
         into_view=into_view,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernel_cache import code_folder, compiled, part
+from ovmot.kernels.cache import code_folder, compiled, part
 
 Vector = tuple[float, float, float]
 

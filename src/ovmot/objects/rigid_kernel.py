@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernel_cache import code_folder, compiled, part
+from ovmot.kernels.cache import code_folder, compiled, part
 
 GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
 HEIGHT_SIGMAS = 4.0  # a triangle flatter than this many sigmas of its corners tells no rotation

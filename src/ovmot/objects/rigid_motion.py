@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.grouping import MotionHistory
+from ovmot.objects.clustering import MotionHistory
 from ovmot.objects.rigid_kernel import best_motion_compiled, velocity_errors_compiled
+from ovmot.settings import ObjectSettings
 
 _SHARE_OF_POINTS = 0.7  # of those that the best row holds, that any row in use must hold
 _BATCH = 24  # triples drawn at once

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectSettings
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
+from ovmot.settings import ObjectSettings
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from ovmot.config import ObjectTrackSettings
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.id_sets import union
+from ovmot.geometry.id_sets import union
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.motion_models import N_STATE, VELOCITY, Agility
 from ovmot.objects.object_filter import (
@@ -19,9 +18,10 @@ from ovmot.objects.object_filter import (
     start_filter,
     update,
 )
+from ovmot.settings import ObjectTrackSettings
 
-_SLIDE = 0.25  # of the size: how far the middle of what is seen lies off the body's middle
-_LEAST_SLIDE_M = 0.2
+_DRIFT = 0.25  # of the size: how far the middle of what is seen lies off the body's middle
+_LEAST_DRIFT_M = 0.2
 _VEHICLE_M = 4.5  # length
 DRIVES_MPS = 3.0
 """Faster than who walks."""
@@ -96,7 +96,7 @@ def as_observation(
     noise that was told; how fast, only with what the points show of it.
     """
     R = measurement.covariance - measurement.excess
-    R[:3, :3] += _slide(size) ** 2 * np.eye(3)
+    R[:3, :3] += _drift(size) ** 2 * np.eye(3)
     again = 1.0
     if dt_s is not None:
         again = float(_repeats(np.array(measurement.span_s), np.array(dt_s)))
@@ -171,12 +171,12 @@ def gaps(
     since = np.array([1e-9 * (now_ns - t.measured_ns) for t in tracks])
     again = _repeats(np.array([m.span_s for m in measurements]), since[:, None])
     spread = np.zeros((len(tracks), len(measurements), 6, 6))
-    spread[..., :3, :3] = (_slide(size) ** 2)[..., None, None] * np.eye(3)
+    spread[..., :3, :3] = (_drift(size) ** 2)[..., None, None] * np.eye(3)
     S = P[:, None] + (R + spread) * again[..., None, None]
     v = state[:, 3:]
     speed = np.hypot(v[:, 0], v[:, 1])
     heading = np.where(speed > DRIVES_MPS, 1.0, 0.0)[:, None] * v / np.maximum(speed, 1e-9)[:, None]
-    hidden = np.maximum(_VEHICLE_M - size[..., 0], 0.0) * _SLIDE
+    hidden = np.maximum(_VEHICLE_M - size[..., 0], 0.0) * _DRIFT
     S[..., :3, :3] += (hidden**2)[..., None, None] * (heading[:, :, None] * heading[:, None])[
         :, None
     ]
@@ -185,9 +185,9 @@ def gaps(
     return distance
 
 
-def _slide(size: FloatArray) -> FloatArray:
+def _drift(size: FloatArray) -> FloatArray:
     """How far (...,) the middle of what is seen may lie off that of bodies of a size (..., 3)."""
-    return np.asarray(np.maximum(_SLIDE * size.max(-1), _LEAST_SLIDE_M))
+    return np.asarray(np.maximum(_DRIFT * size.max(-1), _LEAST_DRIFT_M))
 
 
 def _repeats(span_s: FloatArray, since_s: FloatArray) -> FloatArray:

@@ -6,19 +6,25 @@ from dataclasses import replace
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import ObjectTrackSettings
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.id_sets import contained, union, without
 from ovmot.objects.association import associate, shared_share
-from ovmot.objects.followed import FeatureMotions, FollowedBody, Sightings, body_of, follow, join
-from ovmot.objects.id_sets import contained, union, without
+from ovmot.objects.feature_motions import (
+    FeatureMotions,
+    Sightings,
+    UnmeasuredBody,
+    body_of,
+    follow,
+    join,
+)
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.merging import BESIDE_NS, merged
+from ovmot.objects.monocular_points import placed_by_tracks
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.object_filter import distance, observe, update
-from ovmot.objects.one_view import placed_by_tracks
+from ovmot.objects.output import to_object_track
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.region import inside, is_in_view
-from ovmot.objects.shown import as_result
 from ovmot.objects.track import (
     Track,
     TrackState,
@@ -29,6 +35,7 @@ from ovmot.objects.track import (
     place_variance,
     start_track,
 )
+from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack, ScenePoints
 
 _FOLLOWED_GATE = 25.0  # beyond: the features have stayed behind on something else
@@ -93,7 +100,7 @@ class ObjectTracker:
         self._tracks = merged(_with_own_features(alive, seen), settings)
         owner = _owner(self._tracks, seen.feature_id)
         shown = tuple(
-            as_result(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
+            to_object_track(t, timestamp_ns, seen, owner, T_world_cam0, self._rig, settings)
             for t in self._tracks
         )
         before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)
@@ -170,7 +177,7 @@ def _followed(
     return _unseen(track)
 
 
-def _could_do(track: Track, body: FollowedBody, now_ns: int) -> bool:
+def _could_do(track: Track, body: UnmeasuredBody, now_ns: int) -> bool:
     """Can a track have come to this velocity since it was seen? Else its features are the street's,
     left behind: also where rest explains them better than braking as hard as can be."""
     most = _MAX_ACCEL * 1e-9 * (now_ns - track.updated_ns)
@@ -185,7 +192,7 @@ def _could_do(track: Track, body: FollowedBody, now_ns: int) -> bool:
     return bool(size < most + _SIGMAS * sigma and from_braked <= from_rest)
 
 
-def _found_again(track: Track, motions: FeatureMotions, free: BoolArray) -> FollowedBody | None:
+def _found_again(track: Track, motions: FeatureMotions, free: BoolArray) -> UnmeasuredBody | None:
     """The body by any `free` features that go as it should; None with less than two."""
     joins = _joining(track, motions, free)
     return body_of(motions, joins) if joins.sum() >= _MIN_FOUND else None
@@ -222,7 +229,7 @@ def _unseen(track: Track) -> Track:
     return replace(track, state=TrackState.COASTING)
 
 
-def _loose(body: FollowedBody, track: Track) -> FloatArray:
+def _loose(body: UnmeasuredBody, track: Track) -> FloatArray:
     """The covariance (6, 6), for a middle that slides over the body as other parts are seen."""
     P = body.covariance.copy()
     P[:3, :3] += (0.25 * float(track.size.max())) ** 2 * np.eye(3)

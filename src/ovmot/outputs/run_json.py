@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 
 import ovmot
-from ovmot.config import Settings
 from ovmot.errors import OvmotError
+from ovmot.settings import Settings
 from ovmot.types import ImuNoise
 
 RUN_JSON = "run.json"

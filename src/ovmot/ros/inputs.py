@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.cameras.kalibr import read_kalibr
-from ovmot.config import LiveSettings
+from ovmot.datasets.kalibr import read_kalibr
 from ovmot.datasets.registry import open_sequence, recognise
 from ovmot.errors import InputError
+from ovmot.settings import LiveSettings
 
 IMAGES_QUEUED, IMU_QUEUED, RESULTS_QUEUED = 10, 2000, 10
 """Messages that ROS may keep for us before it drops them itself."""

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.config import LiveSettings
 from ovmot.ros.pairing import ImagePair, Side, StereoPairing
+from ovmot.settings import LiveSettings
 from ovmot.types import ImuSample
 
 _MOST_IMU_SAMPLES = 50_000  # a minute and more, while the first frames compile

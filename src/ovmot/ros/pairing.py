@@ -37,7 +37,7 @@ class StereoPairing:
             self.nearest_ns = None if found is None else abs(found[0] - stamp_ns)
             self._keep(self._waiting[side], stamp_ns, message)
             return None
-        self._forget_until(max(stamp_ns, found[0]))
+        self._drop_until(max(stamp_ns, found[0]))
         if side == "left":
             return ImagePair(stamp_ns, message, found[1])
         return ImagePair(found[0], found[1], message)
@@ -53,7 +53,7 @@ class StereoPairing:
             self.unpaired += 1
         waiting.append((stamp_ns, message))
 
-    def _forget_until(self, stamp_ns: int) -> None:
+    def _drop_until(self, stamp_ns: int) -> None:
         """Drop what is not newer than a pair; the pair's own waiting half is no loss."""
         lost = -1
         for waiting in self._waiting.values():

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.config import Settings
 from ovmot.errors import InputError, OvmotError
 from ovmot.ros.inputs import (
     IMAGES_QUEUED,
@@ -25,6 +24,7 @@ from ovmot.ros.ros1_messages import Ros1Classes, stamp_ns
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
 from ovmot.ros.worker import Worker
+from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 
 _IMAGE_BUFFER = 1 << 24  # rospy's own, 64 KiB, holds less than an image and then lags

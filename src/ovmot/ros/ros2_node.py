@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.config import Settings
 from ovmot.errors import InputError
 from ovmot.ros.inputs import (
     IMAGES_QUEUED,
@@ -23,6 +22,7 @@ from ovmot.ros.pairing import Side
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.ros.values import Published
 from ovmot.ros.worker import Worker
+from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 
 _REMEDY = "run it by the Python of a sourced ROS 2, 3.11 or newer: Jazzy or later (docs/ros.md)"

@@ -11,13 +11,12 @@ from typing import Protocol
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import LiveSettings
-from ovmot.datasets.bag_images import stored_image
+from ovmot.datasets.bag.images import stored_image
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.geometry.arrays import Image
+from ovmot.odometry import Odometry
 from ovmot.outputs.tracks_overlay import Trails
 from ovmot.outputs.video import compose
-from ovmot.pipeline import Pipeline
 from ovmot.ros.intake import Batch, Intake, WaitingPair
 from ovmot.ros.messages import (
     OVERLAY,
@@ -31,6 +30,7 @@ from ovmot.ros.messages import (
 )
 from ovmot.ros.numbering import Numbers
 from ovmot.ros.values import Published
+from ovmot.settings import LiveSettings
 from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
 
 IMU_ODOMETRY = "/ovmot/odometry/imu_rate"
@@ -64,7 +64,7 @@ class Session:
     def __init__(
         self,
         intake: Intake,
-        make_pipeline: Callable[[], Pipeline],
+        make_pipeline: Callable[[], Odometry],
         rig: StereoRig,
         settings: LiveSettings,
         sink: Sink,

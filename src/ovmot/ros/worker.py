@@ -5,14 +5,14 @@ import time
 from collections.abc import Callable, Mapping
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.config import Settings
-from ovmot.msckf.start import FilterStart
-from ovmot.pipeline import Pipeline
+from ovmot.initialization.initializer import FilterInitializer
+from ovmot.odometry import Odometry
 from ovmot.ros.inputs import InputTopic
 from ovmot.ros.intake import Intake
 from ovmot.ros.session import Session, Sink
 from ovmot.ros.watch import Sight, Watch
 from ovmot.run import noise_in_use
+from ovmot.settings import Settings
 
 
 class Worker:
@@ -31,7 +31,7 @@ class Worker:
         self.intake = Intake(live, rig.time_offset_s)
         self._session = Session(
             self.intake,
-            lambda: Pipeline(rig, settings, FilterStart(rig, noise, settings)),
+            lambda: Odometry(rig, settings, FilterInitializer(rig, noise, settings)),
             rig,
             live,
             sink,

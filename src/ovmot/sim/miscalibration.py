@@ -7,9 +7,9 @@ from pydantic import Field
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.config import Section
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.settings import Section
 
 
 class CalibrationError(Section):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ovmot.datasets.pose_files import Trajectory, ns_to_seconds, read_tum
 from ovmot.errors import InputError
-from ovmot.formats import Trajectory, ns_to_seconds, read_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.smoothing import low_pass

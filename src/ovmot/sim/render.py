@@ -12,7 +12,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
 from ovmot.geometry.splines import PoseSpline
-from ovmot.sim import kernel
+from ovmot.sim import render_kernel as kernel
 from ovmot.sim.optics import defocused, exposure_gains, sub_exposures
 from ovmot.sim.scene import Box, Scene, Texture
 from ovmot.sim.simulation import Optics

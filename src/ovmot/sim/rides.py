@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
-from ovmot.formats import read_tum
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline

@@ -12,8 +12,8 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, Field, ValidationError
 
-from ovmot.config import Section
 from ovmot.errors import InputError
+from ovmot.settings import Section
 from ovmot.settings_file import plain_messages, read_yaml_mapping
 
 CATALOG = Path(str(resources.files("ovmot.sim") / "catalog"))

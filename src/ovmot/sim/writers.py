@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ovmot.sim.asl_writer import write_asl
-from ovmot.sim.four_seasons_writer import write_four_seasons
-from ovmot.sim.kitti_raw_writer import write_kitti_extract, write_kitti_sync
+from ovmot.datasets.euroc.writer import write_asl
+from ovmot.datasets.four_seasons.writer import write_four_seasons
+from ovmot.datasets.kaist.writer import write_kaist
+from ovmot.datasets.kitti_raw.writer import write_kitti_extract, write_kitti_sync
+from ovmot.datasets.tum_vi.writer import write_tum_vi
+from ovmot.datasets.uzh_fpv.writer import write_uzh_fpv
+from ovmot.datasets.viode.writer import write_viode
 from ovmot.sim.simulation import Simulation
-from ovmot.sim.tum_vi_writer import write_tum_vi
-from ovmot.sim.uzh_fpv_writer import write_uzh_fpv
-from ovmot.sim.viode_writer import write_viode
-from ovmot.sim.writer import write_kaist
 
 Writer = Callable[[Path, Simulation, int], Iterator[int]]
 """(folder, simulation, seed) -> the time in ns of each frame, when it is on disk."""

@@ -1,0 +1,327 @@
+"""The command line: thin; errors become one line and an exit code here alone."""
+
+import io
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Column, Table
+from rich.text import Text
+
+import ovmot
+from ovmot.batch.batch import run_batch
+from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
+from ovmot.batch.plan import read_plan
+from ovmot.batch.summary import summary_tables
+from ovmot.batch.work import work
+from ovmot.cli.console import (
+    EXIT_BAD_INPUT,
+    EXIT_FAILED,
+    NOTHING_WRITTEN,
+    interruptible,
+    printable,
+    progress,
+    say,
+    say_if_first_use,
+    show,
+    stages,
+)
+from ovmot.cli.doctor import doctor
+from ovmot.cli.live import ros, ros2
+from ovmot.cli.options import (
+    CalibrationOption,
+    FormatOption,
+    ImuOption,
+    LeftOption,
+    RightOption,
+    SequenceOption,
+    SetOption,
+)
+from ovmot.datasets.bag.topics import BagTopics
+from ovmot.datasets.openvins_config import load_run_config
+from ovmot.datasets.registry import open_recording
+from ovmot.datasets.sequence import RecordedSequence
+from ovmot.errors import InputError, OvmotError
+from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
+from ovmot.outputs.run_writer import Output, RunContext
+from ovmot.ros.bag_output import BagOutput
+from ovmot.run import RunOptions, run_sequence
+from ovmot.runtime import prepare_process
+from ovmot.settings import describe_settings
+from ovmot.sim.scene_file import SCENES, load_scene
+from ovmot.sim.scenes import make_simulation
+from ovmot.sim.writers import WRITERS
+
+app = typer.Typer(
+    name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    help="Stereo-inertial odometry and moving-object tracks, without learned models.",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Run the command line; errors meant for the user become one line and an exit code.
+
+    A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # the names of files need not be text
+    try:
+        app()
+    except InputError as error:
+        say(f"ovmot: {error}")
+        sys.exit(EXIT_BAD_INPUT)
+    except OvmotError as error:
+        say(f"ovmot: {error}")
+        sys.exit(EXIT_FAILED)
+    except OSError as error:  # a folder that may not be read
+        say(f"ovmot: {error}")
+        sys.exit(EXIT_BAD_INPUT)
+    except MemoryError:
+        say("ovmot: out of memory: give a shorter or smaller sequence")
+        sys.exit(EXIT_FAILED)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"ovmot {ovmot.__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def run(
+    data: Annotated[
+        Path,
+        typer.Argument(help="Folder of a recorded sequence, or a ROS bag: .bag, .mcap, .db3."),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
+    format: FormatOption = None,
+    sequence: SequenceOption = None,
+    calibration: CalibrationOption = None,
+    left: LeftOption = None,
+    right: RightOption = None,
+    imu: ImuOption = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS."),
+    ] = None,
+    set_: SetOption = None,
+    ego: Annotated[
+        tuple[str, Path] | None,
+        typer.Option(
+            metavar="poses FILE",
+            help="Ego motion from a file (TUM, EuRoC or KITTI form), not the filter.",
+        ),
+    ] = None,
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks: cam0.png, cam1.png, cam0/<ns>.png, ...")
+    ] = None,
+    save_points: Annotated[
+        bool, typer.Option("--save-points", help="Write points.csv and stereo.csv.")
+    ] = False,
+    video: Annotated[bool, typer.Option("--video", help="Write overlay.mp4.")] = False,
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.bag",
+            help="Write the results as a ROS bag too: .bag, .mcap, or a folder of ROS 2.",
+        ),
+    ] = None,
+    no_objects: Annotated[
+        bool, typer.Option("--no-objects", help="Do not look for moving objects.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the run that the folder holds.")
+    ] = False,
+    first: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
+    last: Annotated[int | None, typer.Option(min=0, help="Last frame.")] = None,
+) -> None:
+    """Run a recorded sequence and write trajectory, points, tracks and timing."""
+    prepare_process()
+    overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
+    given = load_run_config(config, overrides)
+    settings = given.settings
+    with interruptible(NOTHING_WRITTEN):
+        recorded = open_recording(
+            data,
+            format,
+            sequence,
+            calibration or given.calibration,
+            settings.imu.max_gap_s,
+            BagTopics(left, right, imu),
+        )
+    recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
+    for warning in recorded.warnings:
+        say(f"ovmot: warning: {warning}")
+    more = () if bag is None else (_bag_output(bag, recorded, video, force),)
+    options = RunOptions(
+        out, _ego_poses(ego), save_points, video, force, first, last, masks, more, given.mask_files
+    )
+    stop = len(recorded) if last is None else min(last + 1, len(recorded))
+    say_if_first_use()
+    with (
+        interruptible("what was done until here is written whole"),
+        progress("run", max(stop - first, 0)) as advance,
+    ):
+        summary = run_sequence(
+            recorded, settings, options, advance, lambda why: say(f"ovmot: {why}")
+        )
+    for warning, count in summary.warnings.items():
+        if warning not in recorded.warnings:
+            say(f"ovmot: warning: {warning} ({count})")
+    written = summary.counts["frames_written"]
+    rate = written / max(summary.wall_seconds, 1e-9)
+    took = f"{summary.wall_seconds:.1f} s ({rate:.1f} frames/s)"
+    typer.echo(printable(f"{written} frames in {took} -> {out}"))
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder to write into: new or empty.")],
+    scene: Annotated[
+        str, typer.Option(help=f"A scene ({', '.join(SCENES)}) or a YAML file of one.")
+    ] = "traffic",
+    path: Annotated[
+        str | None,
+        typer.Option(
+            help="The rig's path: stand, walk, drive, or a TUM file; else the scene's own."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
+    format: Annotated[str, typer.Option(help=f"Layout: {', '.join(WRITERS)}.")] = "kaist",
+    size: Annotated[
+        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Image size; else the scene's.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Stereo frames a second; else the scene's.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Length; else the scene's.")
+    ] = None,
+) -> None:
+    """Render a street as a recorded sequence, with the truth beside it."""
+    prepare_process()
+    write = WRITERS.get(format)
+    if write is None:
+        raise InputError(f"--format {format}: unknown; choose one of {', '.join(WRITERS)}")
+    simulation = make_simulation(
+        load_scene(scene), seed=seed, path=path, size=_size(size), rate_hz=rate, duration_s=duration
+    )
+    total = len(simulation.camera_ns)
+    with (
+        interruptible(f"{out} holds an unfinished sequence: delete it"),
+        progress("simulate", total) as advance,
+    ):
+        for done, _ in enumerate(write(out, simulation, seed), start=1):
+            advance(done)
+    typer.echo(printable(f"{total} frames -> {out}"))
+
+
+@app.command()
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    truth: Annotated[
+        Path, typer.Option("--truth", help="The sequence with its truth, or a TUM file.")
+    ],
+    plots: Annotated[bool, typer.Option(help="Draw plots beside metrics.json.")] = True,
+) -> None:
+    """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
+    with interruptible(NOTHING_WRITTEN):
+        evaluation = evaluate_run(run, truth)
+    write_metrics(run, evaluation)
+    if plots:
+        write_plots(run, evaluation)
+    show(metrics_table(evaluation))
+
+
+@app.command()
+def batch(
+    plan: Annotated[Path, typer.Argument(help="YAML file: sequences, settings, seeds.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into, or to go on in.")],
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Local processes; else one a core.")
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, in place of local processes."),
+    ] = None,
+    retries: Annotated[
+        int, typer.Option(min=0, help="How often a run whose worker died is tried again.")
+    ] = 2,
+    monte_carlo: Annotated[
+        int | None, typer.Option(min=2, metavar="N", help="Seeds 0 to N-1, and the consistency.")
+    ] = None,
+) -> None:
+    """Run sequences x settings x seeds and add up their metrics; goes on where it stopped."""
+    if cluster is not None and workers is not None:
+        raise InputError("--workers counts local processes: leave it out with --cluster")
+    execute: Executor = (
+        LocalProcesses(workers, retries) if cluster is None else DaskCluster(cluster, retries)
+    )
+    todo = read_plan(plan)
+    with (
+        interruptible(f"finished runs stay in {out}; the same command goes on"),
+        stages() as advance,
+    ):
+        summary = run_batch(todo, out, execute, work, monte_carlo=monte_carlo, on_progress=advance)
+    for table in summary_tables(summary, todo.metrics):
+        show(table)
+    for name, failure in summary.failures.items():
+        say(f"ovmot: {name}: {failure}")
+    if summary.failures:
+        raise typer.Exit(EXIT_FAILED)
+
+
+app.command()(doctor)
+app.command()(ros)
+app.command()(ros2)
+
+
+@app.command()
+def settings() -> None:
+    """List every setting with its type, default and meaning."""
+    console = Console()
+    if not console.is_terminal:
+        for key, kind, default, meaning in describe_settings():
+            typer.echo(f"{key} = {default}  ({kind}) {meaning}")
+        return
+    table = Table(Column("setting", no_wrap=True), "type", "default", "meaning")
+    for row in describe_settings():
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(table)
+
+
+def _bag_output(
+    path: Path, recorded: RecordedSequence, video: bool, force: bool
+) -> Callable[[RunContext], Output]:
+    read, written = recorded.root.resolve(), path.resolve()
+    if recorded.kind == "bag" and read in (written, *written.parents):
+        raise InputError.at(path, "is the bag that is read", "choose another name with --bag")
+    return lambda context: BagOutput(path, context.rig, overlay=video, replace=force)
+
+
+def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:
+    if ego is None:
+        return None
+    kind, path = ego
+    if kind != "poses":
+        raise InputError(f"--ego {kind}: unknown; write --ego poses FILE")
+    return path
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        raise InputError(f"--size {text}: is no size; write WIDTHxHEIGHT, as in 640x280")
+    return int(width), int(height)

@@ -1,0 +1,93 @@
+"""KAIST Complex Urban folders: raw Bayer stereo images and an Xsens IMU."""
+
+from pathlib import Path
+
+from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.asl import note_no_imu, refuse_choice
+from ovmot.datasets.findings import Findings
+from ovmot.datasets.frames import (
+    StereoListing,
+    checked_stamps,
+    images_in,
+    note_missing_images,
+    numbered_images,
+    pair_images,
+    present_images,
+)
+from ovmot.datasets.images import read_bayer_as_grey
+from ovmot.datasets.imu import checked_imu
+from ovmot.datasets.kaist.calibration import read_kaist_calibration
+from ovmot.datasets.pose_files import column_count, read_stamped_csv, read_stamped_names
+from ovmot.datasets.sequence import FolderSequence, assemble
+from ovmot.errors import DatasetError, InputError
+from ovmot.types import ImuData
+
+# ns, quaternion xyzw, euler xyz, gyro xyz, accel xyz, magnetometer xyz
+_IMU_COLUMNS = 17
+_IMU_COLUMNS_WITHOUT_GYRO = 8
+_GYRO, _ACCEL = 7, 10  # of the values, the stamp left out
+
+
+class KaistReader:
+    """Reads a folder with `image`, `sensor_data` and `calibration`."""
+
+    needs = (
+        "image/stereo_left, image/stereo_right, sensor_data/xsens_imu.csv,"
+        " calibration/left.yaml, right.yaml, Vehicle2Stereo.txt"
+    )
+
+    def recognise(self, root: Path) -> bool:
+        return any((root / "image" / f"stereo_{side}").is_dir() for side in ("left", "right"))
+
+    def read(
+        self,
+        root: Path,
+        sequence: str | None,
+        calibration: Calibration | None,
+        imu_max_gap_s: float,
+    ) -> FolderSequence:
+        """Describe the sequence; raises `InputError` and its children for what is wrong."""
+        if not self.recognise(root):
+            raise InputError.at(root, "not a KAIST folder", f"it needs {self.needs}")
+        refuse_choice(root, sequence)
+        findings = Findings()
+        listing = _listing(root, findings)
+        imu = _imu(root / "sensor_data" / "xsens_imu.csv", imu_max_gap_s, findings)
+        found = calibration or read_kaist_calibration(root / "calibration")
+        name = root.resolve().name
+        return assemble(
+            kind="kaist",
+            name=name,
+            root=root,
+            calibration=found,
+            listing=listing,
+            imu=imu,
+            decode=read_bayer_as_grey,
+            findings=findings,
+        )
+
+
+def _listing(root: Path, findings: Findings) -> StereoListing:
+    folders = root / "image" / "stereo_left", root / "image" / "stereo_right"
+    listed = root / "sensor_data" / "stereo_stamp.csv"
+    for folder in folders:
+        images_in(folder)
+    if not listed.exists():
+        left, right = (numbered_images(folder) for folder in folders)
+        return pair_images(left, right, root, findings)
+    stamps = checked_stamps(read_stamped_names(listed), findings)
+    bare = dict.fromkeys(stamps, "")
+    left, right = (present_images(bare, folder, listed) for folder in folders)
+    note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
+    return pair_images(left, right, root, findings)
+
+
+def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
+    if not path.exists():
+        note_no_imu(path, findings)
+        return None
+    if column_count(path, ",") == _IMU_COLUMNS_WITHOUT_GYRO:
+        problem = "8 columns: this early KAIST sequence has orientation only, no gyro and no accel"
+        raise DatasetError.at(path, problem, "use a sequence whose IMU file has 17 columns")
+    table = read_stamped_csv(path, _IMU_COLUMNS)
+    return checked_imu(table, _GYRO, _ACCEL, max_gap_s, findings)

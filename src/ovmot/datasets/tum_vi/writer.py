@@ -1,0 +1,69 @@
+"""Writes a simulation as a TUM-VI folder (`mav0` and `dso`), with its truth beside it.
+
+Layout: D. Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS
+2018. Pictures are PNGs of 16 bits. Lenses are the rig's own; the data set's are equidistant.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.datasets.euroc.writer import write_asl_imu, write_listed
+from ovmot.datasets.kalibr_writer import check_rig, write_chain, write_noise
+from ovmot.datasets.pose_files import ns_to_seconds
+from ovmot.errors import InputError
+from ovmot.sim.render import RenderedFrame
+from ovmot.sim.sequence_files import (
+    generators,
+    imu_samples,
+    make_folders,
+    write_frames,
+    write_imu_truth,
+    write_png,
+    write_rows,
+    write_true_poses,
+)
+from ovmot.sim.simulation import Simulation
+
+_CAMERAS = ("cam0", "cam1")
+
+
+def write_tum_vi(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+    """Render and write the sequence, as `write_asl`; the time offset is in `camchain.yaml`.
+
+    Raises `InputError` where the folder is not empty or not writable, or for cameras with skew.
+    """
+    check_rig(folder, simulation.rig)
+    try:
+        yield from _write(folder, simulation, seed)
+    except OSError as error:
+        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+
+
+def _write(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+    picture_rng, imu_rng = generators(seed)
+    mav, dso = folder / "mav0", folder / "dso"
+    names = [f"mav0/{camera}/data" for camera in _CAMERAS] + [f"dso/{c}" for c in _CAMERAS]
+    make_folders(folder, (*names, "mav0/imu0"))
+    imu = imu_samples(simulation, imu_rng)
+    write_asl_imu(mav / "imu0/data.csv", imu)
+    write_chain(dso / "camchain.yaml", simulation.rig)
+    write_noise(dso / "imu_config.yaml", simulation.imu)
+    for camera in _CAMERAS:
+        write_listed(mav / camera, simulation.camera_ns)
+        rows = "".join(f"{t} {ns_to_seconds(t)} 5.0\n" for t in simulation.camera_ns)
+        (dso / camera / "times.txt").write_text(f"# name time[s] exposure[ms]\n{rows}")
+        (dso / camera / "images").symlink_to(Path("../../mav0") / camera / "data")
+    values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
+    header = "# timestamp[ns] w_x w_y w_z a_x a_y a_z"
+    write_rows(dso / "imu.txt", imu.data.timestamp_ns, values, header, separator=" ")
+    write_imu_truth(folder, simulation, imu)
+    write_true_poses(folder, simulation)
+
+    def save(frame: RenderedFrame) -> None:
+        for camera, picture in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
+            path = mav / camera / "data" / f"{frame.frame.timestamp_ns}.png"
+            write_png(path, picture.astype(np.uint16) * 257)  # the full range of 16 bits
+
+    yield from write_frames(folder, simulation, save, picture_rng)

@@ -1,0 +1,89 @@
+"""VIODE folders: an ASL folder with segmentation pictures, unpacked from the data set's bags.
+
+K. Minoda et al., "VIODE: A simulated dataset to address the challenges of visual-inertial odometry
+in dynamic environments", RA-L 2021. The bags are accepted as such a folder:
+
+    mav0/cam0/data/<ns>.png             mav0/cam1/data/<ns>.png          colour or grey
+    mav0/cam0/segmentation/<ns>.png     mav0/cam1/segmentation/<ns>.png  colours of rgb_ids.txt
+    mav0/imu0/data.csv                  as EuRoC
+    calibration_files/calibration.yaml, cam0_pinhole.yaml, cam1_pinhole.yaml, or sensor.yaml files
+    segmentation/rgb_ids.txt            id,r,g,b
+
+The calibration and the table of colours may also stand in the sequence's folder, or in the one
+above it, as one copy serves all sequences.
+"""
+
+from pathlib import Path
+
+from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.asl import (
+    asl_imu,
+    asl_listing,
+    mav_folder,
+    note_no_imu_noise,
+    refuse_choice,
+    sensor_calibration,
+    sequence_folder,
+)
+from ovmot.datasets.findings import Findings
+from ovmot.datasets.images import read_grey
+from ovmot.datasets.segmentation import find_segmentation
+from ovmot.datasets.sequence import FolderSequence, assemble
+from ovmot.datasets.viode.calibration import read_vins
+from ovmot.errors import InputError
+
+_PICTURES = "segmentation"
+_CALIBRATION = ("calibration_files/calibration.yaml", "calibration.yaml")
+_COLOURS = ("segmentation/rgb_ids.txt", "rgb_ids.txt", "calibration_files/rgb_ids.txt")
+
+
+class ViodeReader:
+    """Reads the folder that holds `mav0`, or `mav0` itself."""
+
+    needs = "mav0 as EuRoC with cam0/segmentation, cam1/segmentation; calibration_files"
+
+    def recognise(self, root: Path) -> bool:
+        mav = mav_folder(root)
+        return mav is not None and (mav / "cam0" / _PICTURES).is_dir()
+
+    def read(
+        self,
+        root: Path,
+        sequence: str | None,
+        calibration: Calibration | None,
+        imu_max_gap_s: float,
+    ) -> FolderSequence:
+        """Describe the sequence; raises `InputError` and its children for what is wrong."""
+        mav = mav_folder(root)
+        if mav is None:
+            raise InputError.at(root, "not a VIODE folder", f"it needs {self.needs}")
+        refuse_choice(root, sequence)
+        findings = Findings()
+        folder = sequence_folder(mav)
+        pictures = mav / "cam0" / _PICTURES, mav / "cam1" / _PICTURES
+        return assemble(
+            kind="viode",
+            name=folder.name,
+            root=root,
+            listing=asl_listing(mav, findings),
+            imu=asl_imu(mav, imu_max_gap_s, findings),
+            calibration=calibration or _calibration(mav, folder, findings),
+            decode=read_grey,
+            findings=findings,
+            segmentation=find_segmentation(pictures, _near(folder, _COLOURS), findings),
+        )
+
+
+def _calibration(mav: Path, folder: Path, findings: Findings) -> Calibration:
+    file = _near(folder, _CALIBRATION)
+    if file is None or (mav / "cam0" / "sensor.yaml").exists():
+        return sensor_calibration(mav, findings)
+    # its noise parameters are those of one discrete solver, not densities
+    note_no_imu_noise(mav / "imu0" / "sensor.yaml", findings)
+    return read_vins(file)
+
+
+def _near(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """The first of these files, in the sequence's folder or the one above."""
+    places = (place / name for place in (folder, folder.parent) for name in names)
+    return next((path for path in places if path.is_file()), None)

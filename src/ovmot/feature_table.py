@@ -1,0 +1,155 @@
+"""The table of what was seen: every feature in every frame of the window, as arrays.
+
+Rows are frames, columns are features. A frame's pose is held by a clone of the filter; while the
+rig stands, several frames share one clone, so a row names its clone. Functions return new tables.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.types import FrontendFrame
+
+MAX_SHARING_ROWS = 20
+"""Frames of a standstill that are remembered for the split; the filter needs none of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureTable:
+    """T frames by F features.
+
+    `frame_ns`, `clone_ns` (T,): the frame's stamp and that of the clone that holds its pose.
+    `pixels`, `normalized` (T, F, 4): left u, v and right u, v, NaN where unseen by that camera;
+    distorted pixels and undistorted plane coordinates. `track_length` (F,): KLT steps so far.
+    `used` (T, F): observations that an update has taken. `dynamic` (F,): features that no update
+    may ever use, since they were found to move. `outlier` (F,): features that did not look at rest
+    when last seen.
+    """
+
+    frame_ns: IntArray
+    clone_ns: IntArray
+    feature_id: IntArray
+    pixels: FloatArray
+    normalized: FloatArray
+    track_length: IntArray
+    used: BoolArray
+    dynamic: BoolArray
+    outlier: BoolArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of frames and of features."""
+        return len(self.frame_ns), len(self.feature_id)
+
+    @property
+    def seen(self) -> BoolArray:
+        """Observations (T, F), by whichever camera."""
+        return np.asarray(np.isfinite(self.pixels[..., ::2]).any(axis=-1))
+
+    @property
+    def seen_now(self) -> BoolArray:
+        """Features (F,) that the newest frame holds."""
+        if len(self.frame_ns) == 0:
+            return np.zeros(len(self.feature_id), dtype=np.bool_)
+        return np.asarray(np.isfinite(self.pixels[-1, :, ::2]).any(axis=-1))
+
+
+def empty_table() -> FeatureTable:
+    """A table of no frames and no features."""
+    ints = np.empty(0, dtype=np.int64)
+    seen = np.empty((0, 0, 4))
+    none = np.empty(0, np.bool_)
+    return FeatureTable(ints, ints, ints, seen, seen, ints, np.empty((0, 0), np.bool_), none, none)
+
+
+def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
+    """The table with one more row, and a column for each feature that is new in it."""
+    n_rows, n_old = table.shape
+    new_ids = seen.feature_id[~np.isin(seen.feature_id, table.feature_id)]
+    n_new = len(new_ids)
+    feature_id = np.concatenate([table.feature_id, new_ids])
+    order = np.argsort(feature_id)
+    column = order[np.searchsorted(feature_id, seen.feature_id, sorter=order)]
+
+    pixels = np.full((n_rows + 1, n_old + n_new, 4), np.nan)
+    normalized = np.full_like(pixels, np.nan)
+    pixels[:n_rows, :n_old], normalized[:n_rows, :n_old] = table.pixels, table.normalized
+    pixels[n_rows, column], normalized[n_rows, column] = seen.pixels, seen.normalized
+    track_length = np.concatenate([table.track_length, np.zeros(n_new, dtype=np.int64)])
+    track_length[column] = seen.track_length
+    used = np.zeros((n_rows + 1, n_old + n_new), dtype=np.bool_)
+    used[:n_rows, :n_old] = table.used
+    return FeatureTable(
+        frame_ns=np.append(table.frame_ns, seen.timestamp_ns),
+        clone_ns=np.append(table.clone_ns, seen.timestamp_ns),
+        feature_id=feature_id,
+        pixels=pixels,
+        normalized=normalized,
+        track_length=track_length,
+        used=used,
+        dynamic=np.concatenate([table.dynamic, np.zeros(n_new, dtype=np.bool_)]),
+        outlier=np.concatenate([table.outlier, np.zeros(n_new, dtype=np.bool_)]),
+    )
+
+
+def mark_dynamic(table: FeatureTable, feature_id: IntArray) -> FeatureTable:
+    """The table with these features closed to the filter for good."""
+    return replace(table, dynamic=table.dynamic | np.isin(table.feature_id, feature_id))
+
+
+def mark_outliers(table: FeatureTable, feature_id: IntArray, outlier: BoolArray) -> FeatureTable:
+    """The table with a new verdict on the features (N,) seen now; of others the last one stays."""
+    out = table.outlier.copy()
+    out[np.isin(table.feature_id, feature_id)] = False
+    out[np.isin(table.feature_id, feature_id[outlier])] = True
+    return replace(table, outlier=out)
+
+
+def mark_used(table: FeatureTable, used: BoolArray) -> FeatureTable:
+    """The table with these observations (T, F) taken by an update."""
+    return replace(table, used=table.used | used)
+
+
+def share_clone(table: FeatureTable, dropped_ns: int, kept_ns: int) -> FeatureTable:
+    """Rows whose clone `dropped_ns` leaves the state, since the rig stood, point to `kept_ns`."""
+    return replace(table, clone_ns=np.where(table.clone_ns == dropped_ns, kept_ns, table.clone_ns))
+
+
+def keep_window(table: FeatureTable, clone_ns: IntArray) -> FeatureTable:
+    """Only rows whose clone is still there, and no dead columns.
+
+    Rows that share another frame's clone (the rig stands) are kept up to `MAX_SHARING_ROWS`, the
+    newest first. A column lives while the newest row or an observation that no update has used
+    holds it.
+    """
+    rows = np.isin(table.clone_ns, clone_ns)
+    sharing = np.flatnonzero(rows & (table.frame_ns != table.clone_ns))
+    rows[sharing[:-MAX_SHARING_ROWS]] = False
+    table = _select_rows(table, rows)
+    fresh = table.seen & ~table.used & ~table.dynamic
+    return _select_columns(table, table.seen_now | fresh.any(axis=0))
+
+
+def _select_rows(table: FeatureTable, rows: BoolArray) -> FeatureTable:
+    return replace(
+        table,
+        frame_ns=table.frame_ns[rows],
+        clone_ns=table.clone_ns[rows],
+        pixels=table.pixels[rows],
+        normalized=table.normalized[rows],
+        used=table.used[rows],
+    )
+
+
+def _select_columns(table: FeatureTable, columns: BoolArray) -> FeatureTable:
+    return replace(
+        table,
+        feature_id=table.feature_id[columns],
+        pixels=table.pixels[:, columns],
+        normalized=table.normalized[:, columns],
+        track_length=table.track_length[columns],
+        used=table.used[:, columns],
+        dynamic=table.dynamic[columns],
+        outlier=table.outlier[columns],
+    )

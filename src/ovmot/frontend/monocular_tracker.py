@@ -1,0 +1,102 @@
+"""Cameras by themselves: features followed in one of them, or in each, and never matched."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.camera_tracker import CameraPoints, CameraTracker, FeatureIds
+from ovmot.frontend.epipolar import no_matches
+from ovmot.frontend.stereo_tracker import views
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.settings import TrackerSettings
+from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
+
+LEFT, RIGHT = 0, 1
+
+
+class MonocularTracker:
+    """Follows corners through the images of some cameras, each by itself, with ids of their own.
+
+    `sides`: which cameras, of `LEFT` and `RIGHT`. A feature of the right camera has no left pixel.
+    """
+
+    def __init__(self, rig: StereoRig, settings: TrackerSettings, sides: tuple[int, ...]) -> None:
+        self._rig = rig
+        self._settings = settings
+        self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
+        ids = FeatureIds()
+        self._followers = {side: CameraTracker(settings, self._workers, ids) for side in sides}
+        self._positions = {side: np.empty((0, 3)) for side in sides}
+
+    def calibrate(self, rig: StereoRig) -> None:
+        """From now on the rig is calibrated like this."""
+        self._rig = rig
+
+    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
+        """Without stereo nothing is known to move: there is nothing to look at closer."""
+
+    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
+        """Without stereo nothing is known to move."""
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        self._workers.shutdown()
+
+    def track(
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
+    ) -> tuple[FrontendFrame, StereoMatches]:
+        """Features of this frame, those of the left camera first, and no stereo match.
+
+        `T_now_before` (4, 4): predicted motion of the left camera since the last frame. Raises
+        `OvmotError` for a frame without images.
+        """
+        of_both = views(frame, self._rig, self._settings, self._workers)
+        points = {}
+        for side, follower in self._followers.items():
+            T = _motion_of(side, T_now_before, self._rig)
+            before = follower.points
+            at_rest = self._positions[side]
+            points[side] = follower.step(of_both[side], at_rest, at_rest, T)
+            self._positions[side] = _positions(before, points[side], T)
+        return _joined(frame.timestamp_ns, points), no_matches()
+
+
+def _motion_of(side: int, T_now_before: FloatArray, rig: StereoRig) -> FloatArray:
+    """The motion of one camera from that of the left one."""
+    if side == LEFT:
+        return T_now_before
+    return rig.T_cam1_cam0 @ T_now_before @ se3.inverse(rig.T_cam1_cam0)
+
+
+def _positions(before: CameraPoints, now: CameraPoints, T_now_before: FloatArray) -> FloatArray:
+    """Points (N, 3) in the present camera by the last two views of each; NaN for new ones.
+
+    Only as good as the predicted motion; it serves to predict how the points go on.
+    """
+    pairs = np.full((len(now), 4), np.nan)
+    followed = before.xy[np.isin(before.feature_id, now.feature_id)]
+    pairs[:, :2], pairs[: len(followed), 2:] = now.xy, followed
+    return triangulate_stereo(pairs, se3.inverse(T_now_before))
+
+
+def _joined(timestamp_ns: int, points: dict[int, CameraPoints]) -> FrontendFrame:
+    """One frame of the points of all cameras, each in its half of the columns."""
+    n = sum(len(p) for p in points.values())
+    pixels, normalized = np.full((n, 4), np.nan), np.full((n, 4), np.nan)
+    row = 0
+    for side, p in points.items():
+        where = (slice(row, row + len(p)), slice(2 * side, 2 * side + 2))
+        pixels[where], normalized[where] = p.uv, p.xy
+        row += len(p)
+    parts = points.values()
+    return FrontendFrame(
+        timestamp_ns=timestamp_ns,
+        feature_id=np.concatenate([p.feature_id for p in parts]),
+        pixels=pixels,
+        normalized=normalized,
+        track_length=np.concatenate([p.track_length for p in parts]),
+        two_view_inlier=np.concatenate([p.inlier for p in parts]),
+    )

@@ -1,0 +1,335 @@
+"""The compiled comparison of stereo points then and now, point by point.
+
+Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
+(`kernel_cache`). tests/objects/test_comparison_kernel.py holds its plain NumPy twin.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.kernels.cache import code_folder, compiled, part
+
+_LEAST_DEPTH = 0.1  # metres, of a carried point
+
+
+def compare_points(
+    then: FloatArray,
+    now: FloatArray,
+    T_now_then: FloatArray,
+    ego: FloatArray,
+    T_cam1_cam0: FloatArray,
+    sigma: FloatArray,
+    drift: float,
+    drift_per_flow: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What `comparison.Comparison` holds: predicted, residual, J, J_motion, S, S_motion.
+
+    `then` (L, N, 4), `now` (N, 4): plane coordinates; `T_now_then` (L, 4, 4) of the left camera.
+    `ego` (L, 6, 6): covariance of (φ, τ), by which the ego motion's error moves a carried point p
+    as [p]x φ + τ. `sigma` (4,), `drift`: standard deviations, plane units; `drift_per_flow` of the
+    way in the left image. C = R C_then Rᵀ + ego's part; S = J C Jᵀ + noise, at the predicted and
+    at the present place.
+    """
+    n_rows, n_points = then.shape[:2]
+    predicted, residual = np.full((n_rows, n_points, 3), np.nan), np.full(then.shape, np.nan)
+    J, J_motion = (
+        np.full((n_rows, n_points, 4, 3), np.nan),
+        np.full((n_rows, n_points, 4, 3), np.nan),
+    )
+    S, S_motion = (
+        np.full((n_rows, n_points, 4, 4), np.nan),
+        np.full((n_rows, n_points, 4, 4), np.nan),
+    )
+    p_then, p_now, h = np.empty(3), np.empty(3), np.empty(4)
+    C_then, C, J_now = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3))
+    for n in range(n_points):
+        if not triangulate(now[n], T_cam1_cam0, p_now):
+            continue
+        project(p_now, T_cam1_cam0, h, J_now)
+        for row in range(n_rows):
+            if not triangulate(then[row, n], T_cam1_cam0, p_then):
+                continue
+            T, p = T_now_then[row], predicted[row, n]
+            carry(T, p_then, p)
+            if not p[2] > _LEAST_DEPTH:
+                p[0] = p[1] = p[2] = np.nan
+                continue
+            stereo_covariance(p_then, T_cam1_cam0, sigma, C_then)
+            carried_covariance(T, C_then, p, ego[row], C)
+            project(p, T_cam1_cam0, h, J[row, n])
+            flow = math.hypot(now[n, 0] - then[row, n, 0], now[n, 1] - then[row, n, 1])
+            drifted = drift**2 + (drift_per_flow * flow) ** 2
+            image_covariance(J[row, n], C, sigma, drifted, S[row, n])
+            image_covariance(J_now, C, sigma, drifted, S_motion[row, n])
+            for i in range(4):
+                residual[row, n, i] = now[n, i] - h[i]
+            secant(p, p_now, T_cam1_cam0, J_motion[row, n])
+    return predicted, residual, J, J_motion, S, S_motion
+
+
+def fit_velocities(
+    residual: FloatArray,
+    J_motion: FloatArray,
+    S: FloatArray,
+    J_slack: FloatArray,
+    slack: FloatArray,
+    span_s: FloatArray,
+    tested: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Velocity (N, 3), covariance (N, 3, 3) and cost (N,) of r = J_motion v Δt over L rows.
+
+    Weighted least squares; r (L, N, 4) has the covariance S + `slack` (L,) J_slack J_slackᵀ.
+    """
+    n_rows, n_points = residual.shape[:2]
+    velocity, cost = np.empty((n_points, 3)), np.empty(n_points)
+    covariance = np.empty((n_points, 3, 3))
+    L, rows = np.empty((4, 4)), np.empty((4, 4))
+    products, information = np.empty((4, 4)), np.empty((3, 3))
+    for n in range(n_points):
+        products[:, :] = 0.0
+        for row in range(n_rows):
+            if tested[row, n]:
+                widen(S[row, n], J_slack[row, n], slack[row], L)
+                for i in range(4):
+                    rows[i, 3] = residual[row, n, i]
+                    for k in range(3):
+                        rows[i, k] = J_motion[row, n, i, k] * span_s[row]
+                whiten(L, rows)
+                add_products(rows, products)
+        for a in range(3):
+            for b in range(3):
+                information[a, b] = products[a, b] + (1e-6 if a == b else 0.0)
+        invert(information, covariance[n])
+        cost[n] = products[3, 3]
+        for a in range(3):
+            velocity[n, a] = 0.0
+            for b in range(3):
+                velocity[n, a] += covariance[n, a, b] * products[b, 3]
+        for a in range(3):
+            cost[n] -= 2.0 * velocity[n, a] * products[a, 3]
+            for b in range(3):
+                cost[n] += velocity[n, a] * products[a, b] * velocity[n, b]
+    return velocity, covariance, cost
+
+
+def weigh(
+    J_motion: FloatArray, S_motion: FloatArray, tested: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """S_motion⁻¹ (L, N, 4, 4), and information J_motionᵀ S_motion⁻¹ J_motion (L, N, 3, 3).
+
+    Zero where untested.
+    """
+    n_rows, n_points = tested.shape
+    weight, information = np.zeros(S_motion.shape), np.zeros((n_rows, n_points, 3, 3))
+    L, root, J = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 3))
+    for row in range(n_rows):
+        for n in range(n_points):
+            if tested[row, n]:
+                for i in range(4):
+                    for j in range(4):
+                        L[i, j], root[i, j] = S_motion[row, n, i, j], 1.0 if i == j else 0.0
+                    for j in range(3):
+                        J[i, j] = J_motion[row, n, i, j]
+                whiten(L, root)
+                whiten_with(L, J)
+                add_products(root, weight[row, n])
+                add_products(J, information[row, n])
+    return weight, information
+
+
+def displace(
+    then: FloatArray,
+    p_now: FloatArray,
+    T_now_then: FloatArray,
+    T_cam1_cam0: FloatArray,
+    sigma: FloatArray,
+) -> FloatArray:
+    """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
+
+    `then` (L, N, 4), oldest first; `p_now` (N, 3) in the left camera. Axes apart and with today's
+    covariance for both times: quick, to spare most points the rest.
+    """
+    n_rows, n_points = then.shape[:2]
+    off = np.zeros(n_points)
+    p, q, C = np.empty(3), np.empty(3), np.empty((3, 3))
+    for n in range(n_points):
+        if not math.isfinite(p_now[n, 2]):
+            continue
+        for row in range(n_rows):
+            if triangulate(then[row, n], T_cam1_cam0, p):
+                carry(T_now_then[row], p, q)
+                stereo_covariance(p_now[n], T_cam1_cam0, sigma, C)
+                for a in range(3):
+                    off[n] += (q[a] - p_now[n, a]) ** 2 / (2.0 * C[a, a])
+                break
+    return off
+
+
+@part
+def triangulate(uv: FloatArray, T: FloatArray, p: FloatArray) -> bool:
+    """As `geometry.triangulation.triangulate_stereo` for one pair (4,); is there a point?"""
+    x = T[0, 0] * uv[0] + T[0, 1] * uv[1] + T[0, 2]
+    y = T[1, 0] * uv[0] + T[1, 1] * uv[1] + T[1, 2]
+    z = T[2, 0] * uv[0] + T[2, 1] * uv[1] + T[2, 2]
+    a0, a1 = x - uv[2] * z, y - uv[3] * z
+    b0, b1 = uv[2] * T[2, 3] - T[0, 3], uv[3] * T[2, 3] - T[1, 3]
+    depth = (a0 * b0 + a1 * b1) / (a0 * a0 + a1 * a1)
+    p[0], p[1], p[2] = uv[0] * depth, uv[1] * depth, depth
+    return bool(0.0 < depth < 1e4 and depth * z + T[2, 3] > 0.0)
+
+
+@part
+def carry(T: FloatArray, p: FloatArray, out: FloatArray) -> None:
+    """T p."""
+    for a in range(3):
+        out[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
+
+
+@part
+def project(p: FloatArray, T: FloatArray, h: FloatArray, J: FloatArray) -> None:
+    """As `geometry.triangulation.project_stereo`: both views h (4,) and derivative J (4, 3)."""
+    q = np.empty(3)
+    carry(T, p, q)
+    for i in range(2):
+        h[i], h[2 + i] = p[i] / p[2], q[i] / q[2]
+        for k in range(3):
+            J[i, k] = 1.0 / p[2] if i == k else 0.0
+            J[2 + i, k] = (T[i, k] - h[2 + i] * T[2, k]) / q[2]
+        J[i, 2] = -h[i] / p[2]
+
+
+@part
+def secant(p_from: FloatArray, p_to: FloatArray, T: FloatArray, D: FloatArray) -> None:
+    """D (4, 3) with h(p_to) - h(p_from) = D (p_to - p_from) for both views h, exactly.
+
+    In one view, with x = X/Z: x' - x = ((X' - X) - x (Z' - Z)) / Z'.
+    """
+    start, end = np.empty(3), np.empty(3)
+    carry(T, p_from, start)
+    carry(T, p_to, end)
+    for i in range(2):
+        for k in range(3):
+            D[i, k] = 1.0 / p_to[2] if i == k else 0.0
+            D[2 + i, k] = (T[i, k] - start[i] / start[2] * T[2, k]) / end[2]
+        D[i, 2] = -p_from[i] / p_from[2] / p_to[2]
+
+
+@part
+def stereo_covariance(p: FloatArray, T: FloatArray, sigma: FloatArray, C: FloatArray) -> None:
+    """As `geometry.triangulation.stereo_covariance`, of one point (3,): C (3, 3)."""
+    ray, G = (p[0] / p[2], p[1] / p[2], 1.0), np.empty((3, 4))
+    h, J = np.empty(4), np.empty((4, 3))
+    project(p, T, h, J)
+    along0 = J[2, 0] * ray[0] + J[2, 1] * ray[1] + J[2, 2]
+    along1 = J[3, 0] * ray[0] + J[3, 1] * ray[1] + J[3, 2]
+    square = along0 * along0 + along1 * along1
+    right = (along0 / square, along1 / square)
+    for a in range(3):
+        for k in range(2):
+            left = right[0] * J[2, k] + right[1] * J[3, k]
+            G[a, k] = p[2] * ((1.0 if a == k else 0.0) - ray[a] * left) * sigma[k]
+            G[a, 2 + k] = ray[a] * right[k] * sigma[2 + k]
+    for a in range(3):
+        for b in range(3):
+            C[a, b] = G[a, 0] * G[b, 0] + G[a, 1] * G[b, 1] + G[a, 2] * G[b, 2] + G[a, 3] * G[b, 3]
+
+
+@part
+def carried_covariance(
+    T: FloatArray, C_then: FloatArray, p: FloatArray, ego: FloatArray, C: FloatArray
+) -> None:
+    """C (3, 3) = R C_then Rᵀ + B ego Bᵀ, B = ([p]x, I)."""
+    B, BE, RC = np.zeros((3, 6)), np.empty((3, 6)), np.empty((3, 3))
+    B[0, 1], B[0, 2], B[1, 0] = -p[2], p[1], p[2]
+    B[1, 2], B[2, 0], B[2, 1] = -p[0], -p[1], p[0]
+    B[0, 3] = B[1, 4] = B[2, 5] = 1.0
+    for a in range(3):
+        for k in range(3):
+            RC[a, k] = T[a, 0] * C_then[0, k] + T[a, 1] * C_then[1, k] + T[a, 2] * C_then[2, k]
+        for k in range(6):
+            BE[a, k] = ego[3 + a, k]
+            for m in range(3):
+                BE[a, k] += B[a, m] * ego[m, k]
+    for a in range(3):
+        for b in range(a, 3):
+            C[a, b] = RC[a, 0] * T[b, 0] + RC[a, 1] * T[b, 1] + RC[a, 2] * T[b, 2] + BE[a, 3 + b]
+            for m in range(3):
+                C[a, b] += BE[a, m] * B[b, m]
+            C[b, a] = C[a, b]
+
+
+@part
+def image_covariance(
+    J: FloatArray, C: FloatArray, sigma: FloatArray, drifted: float, S: FloatArray
+) -> None:
+    """S (4, 4) = J C Jᵀ + diag(sigma²) + slid I."""
+    for i in range(4):
+        x = J[i, 0] * C[0, 0] + J[i, 1] * C[1, 0] + J[i, 2] * C[2, 0]
+        y = J[i, 0] * C[0, 1] + J[i, 1] * C[1, 1] + J[i, 2] * C[2, 1]
+        z = J[i, 0] * C[0, 2] + J[i, 1] * C[1, 2] + J[i, 2] * C[2, 2]
+        for j in range(4):
+            S[i, j] = x * J[j, 0] + y * J[j, 1] + z * J[j, 2]
+        S[i, i] += sigma[i] ** 2 + drifted
+
+
+@part
+def widen(S: FloatArray, J: FloatArray, slack: float, out: FloatArray) -> None:
+    """S + slack J Jᵀ (4, 4) of J (4, 3)."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = S[i, j]
+            for k in range(3):
+                out[i, j] += slack * J[i, k] * J[j, k]
+
+
+@part
+def add_products(rows: FloatArray, out: FloatArray) -> None:
+    """Add rowsᵀ rows (k, k) of rows (4, k)."""
+    for a in range(rows.shape[1]):
+        for b in range(rows.shape[1]):
+            for i in range(4):
+                out[a, b] += rows[i, a] * rows[i, b]
+
+
+@part
+def whiten(L: FloatArray, rows: FloatArray) -> None:
+    """Put the Cholesky factor L of S in its place (4, 4), and L⁻¹ rows in the place of rows."""
+    for i in range(4):
+        for j in range(i + 1):
+            total = L[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = math.sqrt(total) if i == j else total / L[j, j]
+    whiten_with(L, rows)
+
+
+@part
+def whiten_with(L: FloatArray, rows: FloatArray) -> None:
+    """L⁻¹ rows (4, k) in the place of rows."""
+    for c in range(rows.shape[1]):
+        for i in range(4):
+            for k in range(i):
+                rows[i, c] -= L[i, k] * rows[k, c]
+            rows[i, c] /= L[i, i]
+
+
+@part
+def invert(N: FloatArray, out: FloatArray) -> None:
+    """Inverse (3, 3) of a symmetric matrix by cofactors."""
+    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * A + b * B + c * C
+    out[0, 0], out[1, 1], out[2, 2] = A / det, (a * f - c * c) / det, (a * d - b * b) / det
+    out[0, 1] = out[1, 0] = B / det
+    out[0, 2] = out[2, 0] = C / det
+    out[1, 2] = out[2, 1] = (b * c - a * e) / det
+
+
+_FOLDER = code_folder(Path(__file__))
+compare_points_compiled = compiled(compare_points, _FOLDER)
+fit_velocities_compiled = compiled(fit_velocities, _FOLDER)
+weigh_compiled = compiled(weigh, _FOLDER)
+displace_compiled = compiled(displace, _FOLDER)

@@ -1,0 +1,222 @@
+"""The filter as a source of ego motion: predict, correct, forget, each giving a new one."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import FeatureTable, keep_window, share_clone
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.settings import Settings
+from ovmot.types import CalibrationEstimate, EgoEstimate, Health, ImuNoise, PoseWindow
+from ovmot.vio import propagation
+from ovmot.vio.imu_buffer import ImuBuffer
+from ovmot.vio.landmarks import no_landmarks
+from ovmot.vio.online_calibration import calibrated_rig, make_calibration
+from ovmot.vio.slam_features import change_anchor
+from ovmot.vio.state import (
+    N_IMU,
+    POSITION,
+    TIME_OFFSET,
+    VELOCITY,
+    Clones,
+    State,
+    drop_clone,
+    pose_matrix,
+)
+from ovmot.vio.visual_update import update_with_features
+from ovmot.vio.zero_velocity import prediction_allows_standing, zero_velocity_update
+from ovmot.vio.zero_velocity_detection import image_is_stationary
+
+_SPACING_SLACK = 1.05  # frames do not come to the nanosecond
+
+
+@dataclass(frozen=True, slots=True)
+class MsckfFilter:
+    """A filter that runs; `standing` is its verdict on the newest frame.
+
+    `corrected_ns`: the newest frame that an update used, None before the first one.
+    """
+
+    state: State
+    rig: StereoRig
+    noise: ImuNoise
+    settings: Settings
+    standing: bool = False
+    corrected_ns: int | None = None
+
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """A frame's time on the IMU's clock, by the present time offset."""
+        return frame_ns + round(self.state.time_offset_s * 1e9)
+
+    def imu_needed_until(self, frame_ns: int) -> int | None:
+        """The IMU time that must be reached before this frame can be predicted."""
+        return self.imu_time_ns(frame_ns)
+
+    def predict(self, frame_ns: int, imu: ImuBuffer) -> "MsckfFilter":
+        """Propagate to the frame and clone its pose; `imu` must reach its time."""
+        end_ns = self.imu_time_ns(frame_ns)
+        state, rate = self._carried(end_ns, imu)
+        return replace(self, state=propagation.clone_pose(state, frame_ns, rate))
+
+    def _carried(self, end_ns: int, imu: ImuBuffer) -> tuple[State, FloatArray]:
+        """The state at a time on the IMU's clock, and the angular velocity (3,) there."""
+        if end_ns == self.state.timestamp_ns:
+            return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias
+        samples = imu.between(self.state.timestamp_ns, end_ns)
+        result = propagation.propagate_imu(
+            self.state.imu,
+            self.state.imu_first,
+            samples,
+            self.noise,
+            self.settings.filter.gravity_mps2,
+            propagation.INTEGRATORS[self.settings.filter.integration],
+            imu.spacing_s(samples) > self.settings.imu.max_gap_s,
+            self.state.calibration,
+        )
+        return propagation.propagate(self.state, result, end_ns), result.angular_velocity
+
+    def correct(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
+        """Zero velocity when standing, then the visual update."""
+        state, still = self.state, self.settings.zero_velocity
+        standing = (
+            still.enabled
+            and image_is_stationary(table, self.rig, still)
+            and prediction_allows_standing(state, still)
+        )
+        if standing:
+            state = zero_velocity_update(state, still)
+        leaving = self._leaving(standing) == 0
+        state, table = update_with_features(
+            state, table, self.rig, self.settings.filter, oldest_leaves=leaving
+        )
+        now = int(state.clones.timestamp_ns[-1])
+        aided = state.covariance is not self.state.covariance
+        corrected = now if aided or self.corrected_ns is None else self.corrected_ns
+        return replace(self, state=state, standing=standing, corrected_ns=corrected), table
+
+    def marginalize(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
+        """Let a clone go; the frames of a standstill share the one that stays."""
+        state, stamps = self.state, self.state.clones.timestamp_ns
+        leaving = self._leaving(self.standing)
+        if leaving is not None:
+            kept = -2 if leaving == len(stamps) - 1 else -1
+            anchor = self.rig.T_imu_cam0
+            state = change_anchor(state, int(stamps[leaving]), int(stamps[kept]), anchor)
+            state = drop_clone(state, leaving)
+        if self.standing and leaving is not None:
+            table = share_clone(table, int(stamps[-1]), int(stamps[-2]))
+        table = keep_window(table, state.clones.timestamp_ns)
+        return replace(self, state=state), table
+
+    def _leaving(self, standing: bool) -> int | None:
+        """Which clone leaves after this frame: the newest when standing, one that is too close to
+        its neighbours (before the newest: the next frame is predicted from that), or the oldest."""
+        stamps = self.state.clones.timestamp_ns
+        n, settings = len(stamps), self.settings.filter
+        if standing and n >= 2:
+            return n - 1
+        if n >= 3 and stamps[-1] - stamps[-3] <= _SPACING_SLACK * 1e9 * settings.clone_spacing_s:
+            return n - 2
+        return 0 if n > settings.max_clones else None
+
+    def window(self) -> PoseWindow:
+        """The clones' poses and their covariance."""
+        clones = self.state.clones
+        return PoseWindow(clones.timestamp_ns, clones.T_world_imu, self.state.clone_covariance)
+
+    def calibrated_rig(self) -> StereoRig:
+        """The rig as it is calibrated now."""
+        return calibrated_rig(self.rig, self.state.calibration)
+
+    def health(self, frame_ns: int) -> Health:
+        """How far the filter can be trusted at the newest frame."""
+        limits = self.settings.health
+        unaided_s = 0.0 if self.corrected_ns is None else 1e-9 * (frame_ns - self.corrected_ns)
+        sigma = np.sqrt(np.diag(self.state.covariance)[VELOCITY].max())
+        if unaided_s > limits.lost_after_s or sigma > limits.lost_velocity_sigma_mps:
+            return Health.LOST
+        return Health.DEGRADED if unaided_s > limits.degraded_after_s else Health.TRACKING
+
+    def placed(self, T_world_imu: FloatArray) -> "MsckfFilter":
+        """The same filter, which has just started, its first pose at this position and heading.
+
+        `T_world_imu` (4, 4). Positions and velocities turn about the vertical; rotation errors are
+        the body's and stay.
+        """
+        state = self.state
+        T = state.clones.T_world_imu
+        first = T[0] if len(T) else pose_matrix(state.imu)
+        R = T_world_imu[:3, :3] @ first[:3, :3].T
+        yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+        turn = so3.exp(np.array([0.0, 0.0, yaw]))
+        T_new_old = se3.make(turn, T_world_imu[:3, 3] - turn @ first[:3, 3])
+        imu = replace(
+            state.imu,
+            R_world_imu=turn @ state.imu.R_world_imu,
+            position=se3.apply(T_new_old, state.imu.position),
+            velocity=turn @ state.imu.velocity,
+        )
+        G = np.eye(len(state.covariance))
+        G[POSITION, POSITION] = G[VELOCITY, VELOCITY] = turn
+        for k in range(len(T)):
+            moved = slice(state.clone_columns(k).start + 3, state.clone_columns(k).stop)
+            G[moved, moved] = turn
+        placed = replace(
+            state,
+            imu=imu,
+            imu_first=imu,
+            clones=Clones(state.clones.timestamp_ns, T_new_old @ T, T_new_old @ T),
+            covariance=G @ state.covariance @ G.T,
+        )
+        return replace(self, state=placed)
+
+    def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
+        """The state carried by the IMU to a time on its clock, with covariance, between frames.
+
+        Raises `DatasetError` where the IMU does not reach it.
+        """
+        carried = replace(self, state=self._carried(imu_ns, imu)[0])
+        return carried.estimate(imu_ns - round(1e9 * self.state.time_offset_s))
+
+    def estimate(self, frame_ns: int) -> EgoEstimate:
+        """The state at the newest frame, for the outputs."""
+        s, P = self.state, self.state.covariance
+        rig = self.calibrated_rig()
+        return EgoEstimate(
+            timestamp_ns=frame_ns,
+            T_world_imu=pose_matrix(s.imu),
+            velocity=s.imu.velocity,
+            gyro_bias=s.imu.gyro_bias,
+            accel_bias=s.imu.accel_bias,
+            covariance=P[:N_IMU, :N_IMU],
+            T_imu_cam0=rig.T_imu_cam0,
+            T_imu_cam1=rig.T_imu_cam1,
+            time_offset_s=s.time_offset_s,
+            time_offset_std_s=float(np.sqrt(max(P[TIME_OFFSET, TIME_OFFSET], 0.0))),
+            standing=self.standing,
+            health=self.health(frame_ns),
+            calibration=self._calibration(),
+        )
+
+    def _calibration(self) -> CalibrationEstimate | None:
+        calibration = self.state.calibration
+        if not len(calibration):
+            return None
+        variance = np.diag(self.state.covariance)[self.state.calibration_columns]
+        return CalibrationEstimate(
+            calibration.names(), calibration.deviation, np.sqrt(np.maximum(variance, 0.0))
+        )
+
+
+def with_online_calibration(state: State, rig: StereoRig, settings: Settings) -> State:
+    """A state that starts, with the calibration that is to be estimated and room for landmarks."""
+    calibration, variance = make_calibration(rig, settings.calibration)
+    return replace(
+        state,
+        calibration=calibration,
+        landmarks=no_landmarks(settings.filter.landmark_representation),
+        covariance=block_diag(state.covariance, np.diag(variance)),
+    )

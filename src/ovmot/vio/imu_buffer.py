@@ -1,0 +1,95 @@
+"""The IMU samples that a frame still needs, and cuts of them at exact times."""
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from ovmot.errors import DatasetError
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.types import ImuData, ImuSample
+
+
+class ImuBuffer:
+    """Samples in time order; `between` interpolates at both ends of a cut."""
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._rates: list[FloatArray] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def first_ns(self) -> int | None:
+        """Stamp of the oldest sample kept."""
+        return self._stamps[0] if self._stamps else None
+
+    @property
+    def last_ns(self) -> int | None:
+        """Stamp of the newest sample."""
+        return self._stamps[-1] if self._stamps else None
+
+    def append(self, sample: ImuSample) -> None:
+        """Add a sample; raises `DatasetError` when its stamp does not follow the last one."""
+        if self._stamps and sample.timestamp_ns <= self._stamps[-1]:
+            raise DatasetError(
+                f"IMU stamp {sample.timestamp_ns} does not follow {self._stamps[-1]}:"
+                " samples must be in time order"
+            )
+        self._stamps.append(sample.timestamp_ns)
+        self._rates.append(np.concatenate([sample.gyro, sample.accel]))
+
+    def between(self, start_ns: int, end_ns: int) -> ImuData:
+        """Samples from `start_ns` to `end_ns`, both ends interpolated between their neighbours.
+
+        Raises `DatasetError` when the buffer does not reach over both ends.
+        """
+        if len(self) < 2 or not self._stamps[0] <= start_ns < end_ns <= self._stamps[-1]:
+            raise DatasetError(f"the IMU does not cover {start_ns}..{end_ns} ns")
+        lo, hi = bisect_right(self._stamps, start_ns) - 1, bisect_left(self._stamps, end_ns)
+        stamps = np.array(self._stamps[lo : hi + 1], dtype=np.int64)
+        rates = np.array(self._rates[lo : hi + 1])
+        inner = stamps[(stamps > start_ns) & (stamps < end_ns)]
+        cut = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
+        # Relative seconds: epoch nanoseconds do not fit into a double.
+        at, known = (cut - start_ns) * 1e-9, (stamps - start_ns) * 1e-9
+        columns = [np.interp(at, known, rates[:, i]) for i in range(6)]
+        values = np.stack(columns, axis=1)
+        return ImuData(cut, values[:, :3], values[:, 3:])
+
+    def at(self, stamp_ns: int) -> ImuSample:
+        """The reading at one time, interpolated; raises `DatasetError` as `between` does."""
+        last = self.last_ns
+        if last is not None and stamp_ns == last:
+            end = self.between(stamp_ns - 1, stamp_ns)
+            return ImuSample(stamp_ns, end.gyro[-1], end.accel[-1])
+        begin = self.between(stamp_ns, stamp_ns + 1)
+        return ImuSample(stamp_ns, begin.gyro[0], begin.accel[0])
+
+    def spacing_s(self, cut: ImuData) -> FloatArray:
+        """Seconds between the real samples around each interval (n,) of a cut that was made here.
+
+        An interval of the cut can be short and still lie in a long hole of the stream.
+        """
+        spacing = [
+            self._stamps[bisect_right(self._stamps, int(t))]
+            - self._stamps[bisect_right(self._stamps, int(t)) - 1]
+            for t in cut.timestamp_ns[:-1]
+        ]
+        return np.array(spacing) * 1e-9
+
+    def drop_before(self, stamp_ns: int) -> None:
+        """Drop samples that no cut from `stamp_ns` on can need."""
+        keep = bisect_left(self._stamps, stamp_ns) - 1
+        if keep > 0:
+            del self._stamps[:keep], self._rates[:keep]
+
+
+def integrated_rotation(samples: ImuData) -> FloatArray:
+    """R_start_end (3, 3) of the gyroscope alone, no bias taken off."""
+    dt = np.diff(samples.timestamp_ns) * 1e-9
+    R = np.eye(3)
+    for step in so3.exp(0.5 * (samples.gyro[:-1] + samples.gyro[1:]) * dt[:, None]):
+        R = R @ step
+    return R

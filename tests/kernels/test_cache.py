@@ -1,0 +1,135 @@
+"""Compiled code is found again by another process, and by none that has another source."""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numba
+import pytest
+
+from ovmot.kernels.cache import code_folder, compiled, is_first_use
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from ovmot.kernels.cache import code_folder, compiled
+import small
+kernel = compiled(small.kernel, code_folder(Path(small.__file__)))
+assert kernel(20) == small.kernel(20)
+print(sum(kernel.stats.cache_hits.values()), kernel(20))
+"""
+KERNEL = (
+    "def kernel(n):\n    total = 0\n    for i in range(n):\n        total += {}\n    return total\n"
+)
+
+
+def run(folder: Path, cache: Path) -> str:
+    """Hits in the cache and the kernel's value, of a process of its own."""
+    source = Path(__file__).parents[1] / "src"
+    path = os.pathsep.join([str(folder), str(source)])
+    own = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, **own}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True, text=True
+    )
+    assert done.stderr == ""
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "small.py").write_text(KERNEL.format("i * i"))
+    return tmp_path
+
+
+def test_a_second_process_finds_the_code(folder: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert run(folder, cache) == "0 2470"
+    assert run(folder, cache) == "1 2470"
+    (entry,) = (cache / "ovmot").iterdir()
+    assert entry.name.startswith("small-")
+
+
+def test_another_source_is_compiled_anew(folder: Path, tmp_path: Path) -> None:
+    """Even one of the same size and time."""
+    cache, source = tmp_path / "cache", folder / "small.py"
+    times = source.stat()
+    run(folder, cache)
+    source.write_text(KERNEL.format("i + i"))
+    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert run(folder, cache) == "0 380"
+
+
+def test_processes_may_fill_it_at_once(folder: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    with ThreadPoolExecutor(3) as pool:
+        outputs = list(pool.map(lambda _: run(folder, cache), range(3)))
+    assert {output.split()[1] for output in outputs} == {"2470"}
+    assert run(folder, cache) == "1 2470"
+
+
+def test_spoilt_files_are_as_good_as_none(folder: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    run(folder, cache)
+    files = [file for file in cache.rglob("*") if file.is_file()]
+    assert len(files) >= 2
+    for file in files:
+        file.write_bytes(file.read_bytes()[:40])
+    assert run(folder, cache) == "0 2470"
+
+
+def test_without_a_writable_folder_nothing_is_kept(folder: Path, tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    assert run(folder, blocked) == "0 2470"
+    assert run(folder, blocked) == "0 2470"
+    assert blocked.read_text() == "no folder"
+
+
+def test_the_folder_follows_the_users_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "kernel.py"
+    source.write_text("one")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "told"))
+    one = code_folder(source)
+    source.write_text("two")
+    two = code_folder(source)
+    assert one is not None and two is not None
+    assert one.parent == two.parent == tmp_path / "told/ovmot"
+    assert one != two
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    home = code_folder(source)
+    assert home is not None and home.parent == tmp_path / "home/.cache/ovmot"
+
+
+def increment(x: int) -> int:
+    return x + 1
+
+
+def test_nothing_of_the_process_is_changed(tmp_path: Path) -> None:
+    environment, folder_before = dict(os.environ), vars(numba.config)["CACHE_DIR"]
+    assert compiled(increment, tmp_path)(1) == 2
+    assert any(tmp_path.rglob("*.nbi"))
+    assert dict(os.environ) == environment
+    assert vars(numba.config)["CACHE_DIR"] == folder_before
+
+
+def test_the_first_use_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    package = tmp_path / "package"
+    package.mkdir()
+    source = package / "small_kernel.py"
+    source.write_text(KERNEL.format("i"))
+    assert is_first_use(package)
+    folder = code_folder(source)
+    assert folder is not None
+    (folder / "of_this_path").mkdir()
+    (folder / "of_this_path" / "kernel.nbi").write_bytes(b"")
+    assert not is_first_use(package)
+    source.write_text(KERNEL.format("i * i"))  # another version
+    assert is_first_use(package)

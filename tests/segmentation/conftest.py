@@ -1,0 +1,21 @@
+"""The fixtures that these tests share with those of other folders."""
+
+from street_fixtures import (
+    body,
+    drive,
+    in_view,
+    measure,
+    rig,
+    scene_of,
+    window_of,
+)
+
+__all__ = [
+    "body",
+    "drive",
+    "in_view",
+    "measure",
+    "rig",
+    "scene_of",
+    "window_of",
+]

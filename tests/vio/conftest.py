@@ -1,0 +1,27 @@
+"""The fixtures that these tests share with those of other folders."""
+
+from filter_fixtures import (
+    curvy_path,
+    landmarks,
+    make_rig,
+    make_state,
+    make_window,
+    noise,
+    observe,
+    rig,
+    start_error,
+    start_ns,
+)
+
+__all__ = [
+    "curvy_path",
+    "landmarks",
+    "make_rig",
+    "make_state",
+    "make_window",
+    "noise",
+    "observe",
+    "rig",
+    "start_error",
+    "start_ns",
+]

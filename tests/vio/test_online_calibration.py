@@ -1,0 +1,145 @@
+"""The calibration in the error state: every Jacobian is the derivative of what it is of."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.splines import PoseSpline
+from ovmot.settings import CalibrationSettings
+from ovmot.sim.imu import perfect_imu
+from ovmot.types import ImuNoise
+from ovmot.vio.msckf_features import linearize
+from ovmot.vio.online_calibration import (
+    Calibration,
+    calibrated_rig,
+    correct_imu,
+    imu_intrinsics,
+    imu_sensitivity,
+    make_calibration,
+)
+from ovmot.vio.propagation import INTEGRATORS, propagate_imu
+from ovmot.vio.state import N_BASE, ImuState, State, box_plus
+
+Derivative = Callable[..., FloatArray]
+ALL = CalibrationSettings(extrinsics=True, intrinsics=True, imu_intrinsics=True, g_sensitivity=True)
+BIAS = (np.array([0.02, -0.01, 0.03]), np.array([0.1, 0.2, -0.1]))
+
+
+def deviating(rig: StereoRig, settings: CalibrationSettings = ALL) -> Calibration:
+    calibration, variance = make_calibration(rig, settings)
+    deviation = np.sqrt(variance) * np.random.default_rng(4).normal(0.0, 1.0, len(variance))
+    return replace(calibration, deviation=deviation)
+
+
+def test_only_what_is_switched_on_is_estimated(rig: StereoRig) -> None:
+    nothing, _ = make_calibration(rig, CalibrationSettings())
+    assert len(nothing) == 0
+    assert calibrated_rig(rig, nothing) is rig
+    assert imu_intrinsics(nothing) is None
+    everything, variance = make_calibration(rig, ALL)
+    assert len(everything) == len(variance) == 12 + 2 * 8 + 9 + 6 + 9
+    assert (variance > 0.0).all()
+    starts = [part.where.start for part in everything.parts]
+    assert starts == sorted(set(starts))
+    again = calibrated_rig(rig, everything)
+    np.testing.assert_array_equal(again.T_imu_cam1, rig.T_imu_cam1)
+    np.testing.assert_array_equal(again.cam0.intrinsics, rig.cam0.intrinsics)
+
+
+@pytest.mark.parametrize("lens", ["radtan", "equidistant", "none"])
+def test_visual_jacobians(
+    lens: str, make_rig: Callable[[str], StereoRig], make_state: Callable[..., State],
+    central_differences: Derivative,
+) -> None:  # fmt: skip
+    rig = make_rig(lens)
+    state = replace(make_state(np.random.default_rng(3), 3), calibration=deviating(rig))
+    points = se3.apply(
+        state.clones.T_world_imu[0], np.array([[6.0, 1.0, 0.4], [9.0, -2.0, 1.0], [7.0, 0.0, 0.5]])
+    )
+    pixels = np.random.default_rng(6).uniform(100.0, 500.0, (3, 3, 4))
+    system = linearize(state, calibrated_rig(rig, state.calibration), pixels, points, 0.7)
+
+    def residual(error: FloatArray) -> FloatArray:
+        moved = box_plus(state, np.concatenate([np.zeros(N_BASE), error]))
+        now = calibrated_rig(rig, moved.calibration)
+        return linearize(moved, now, pixels, points, 0.7).residual.ravel()
+
+    n = system.H.shape[2]
+    expected = -central_differences(residual, np.zeros(n))
+    assert np.abs(expected[:, : len(state.calibration)]).max() > 10.0
+    np.testing.assert_allclose(
+        system.H.reshape(-1, n), expected, atol=2e-6 * np.abs(expected).max()
+    )
+
+
+def test_imu_sensitivity(rig: StereoRig, central_differences: Derivative) -> None:
+    calibration = deviating(rig)
+    rng = np.random.default_rng(8)
+    gyro, accel = rng.normal(0.0, 1.0, (4, 3)), rng.normal(0.0, 6.0, (4, 3))
+
+    def corrected(x: FloatArray) -> FloatArray:
+        moved = calibration.moved(x[6:])
+        bias = (BIAS[0] + x[:3], BIAS[1] + x[3:6])
+        return np.stack(correct_imu(gyro, accel, bias, imu_intrinsics(moved)))
+
+    expected = central_differences(corrected, np.zeros(6 + len(calibration)))
+    rate, force = imu_sensitivity(gyro, accel, BIAS, calibration)
+    np.testing.assert_allclose(rate, expected[0], atol=1e-7)
+    np.testing.assert_allclose(force, expected[1], atol=1e-7)
+    ideal = imu_sensitivity(gyro, accel, BIAS, Calibration())
+    np.testing.assert_array_equal(ideal[0][:, :, :3], np.broadcast_to(-np.eye(3), (4, 3, 3)))
+
+
+def test_errors_of_the_imu_are_taken_out(rig: StereoRig) -> None:
+    calibration = deviating(rig)
+    known = imu_intrinsics(calibration)
+    assert known is not None
+    rng = np.random.default_rng(9)
+    rate, force = rng.normal(0.0, 1.0, (5, 3)), rng.normal(0.0, 6.0, (5, 3))
+    read_force = force @ np.linalg.inv(known.accel_matrix).T + BIAS[1]
+    read_rate = rate @ np.linalg.inv(known.gyro_matrix).T + force @ known.g_sensitivity.T + BIAS[0]
+    found = correct_imu(read_rate, read_force, BIAS, known)
+    np.testing.assert_allclose(found[0], rate, atol=1e-12)
+    np.testing.assert_allclose(found[1], force, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["rk4", "analytic"])
+def test_propagation_by_the_calibration(
+    name: str, rig: StereoRig, curvy_path: PoseSpline, start_ns: int, noise: ImuNoise,
+    central_differences: Derivative,
+) -> None:  # fmt: skip
+    stamps = start_ns + 2_500_000 * np.arange(41)
+    samples = perfect_imu(curvy_path, stamps)
+    T = curvy_path.pose(start_ns)
+    imu = ImuState(T[:3, :3], T[:3, 3], curvy_path.velocity(start_ns), *BIAS)
+    calibration = deviating(rig)
+
+    def end(deviation: FloatArray) -> ImuState:
+        moved = calibration.moved(deviation)
+        result = propagate_imu(
+            imu, imu, samples, noise, 9.81, INTEGRATORS[name], None, moved
+        )  # fmt: skip
+        return result.imu
+
+    result = propagate_imu(imu, imu, samples, noise, 9.81, INTEGRATORS[name], None, calibration)
+    reference = end(np.zeros(len(calibration)))
+    assert result.transition.shape == (15, N_BASE + len(calibration))
+
+    def error(deviation: FloatArray) -> FloatArray:
+        e = end(deviation)
+        turned = so3.log(reference.R_world_imu.T @ e.R_world_imu)
+        return np.concatenate([turned, e.position - reference.position,
+                               e.velocity - reference.velocity])  # fmt: skip
+
+    expected = central_differences(error, np.zeros(len(calibration)), 1e-5)
+    assert np.abs(expected).max() > 0.05
+    for rows in (slice(0, 3), slice(3, 6), slice(6, 9)):
+        np.testing.assert_allclose(
+            result.transition[rows, N_BASE:], expected[rows],
+            atol=3e-3 * np.abs(expected[rows]).max(),
+        )  # fmt: skip

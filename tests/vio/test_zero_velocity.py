@@ -1,0 +1,187 @@
+"""Standing still: recognised while others move, refused while creeping, and held for a minute."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import append_frame, mark_outliers
+from ovmot.geometry import se3, so3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.initialization.known_state import InitialSigmas, KnownStateInitializer
+from ovmot.settings import Settings, ZeroVelocitySettings
+from ovmot.sim.imu import noisy_imu
+from ovmot.types import FrontendFrame, ImuData, ImuNoise, ImuSample
+from ovmot.vio.filter import MsckfFilter
+from ovmot.vio.imu_buffer import ImuBuffer
+from ovmot.vio.state import VELOCITY, Clones, ImuState, State, box_plus, drop_clone
+from ovmot.vio.zero_velocity import (
+    prediction_allows_standing,
+    standing_measurement,
+    zero_velocity_update,
+)
+
+SETTINGS = ZeroVelocitySettings()
+Derivative = Callable[..., FloatArray]
+
+
+@pytest.fixture
+def resting(make_state: Callable[..., State]) -> State:
+    """Two clones at the same place, velocity zero, everything known to a driving filter's sigma."""
+    state = make_state(np.random.default_rng(1), 2)
+    T = np.repeat(state.clones.T_world_imu[:1], 2, axis=0)
+    P = np.diag(np.full(len(state.covariance), 1e-4))
+    P[VELOCITY, VELOCITY] = 0.02**2 * np.eye(3)
+    # clones of one filter share their errors: their difference is known far better than they are
+    a, b = state.clone_columns(0), state.clone_columns(1)
+    P[a, a] = P[b, b] = P[a, b] = P[b, a] = 1e-2 * np.eye(6)
+    P[b, b] += 1e-6 * np.eye(6)
+    return replace(
+        state,
+        imu=replace(state.imu, velocity=np.zeros(3)),
+        clones=Clones(state.clones.timestamp_ns, T, T),
+        covariance=P,
+    )
+
+
+def test_measurement_is_the_derivative_of_its_residual(
+    make_state: Callable[..., State], central_differences: Derivative
+) -> None:
+    state = make_state(np.random.default_rng(2), 3)
+    H, columns, residual, variance = standing_measurement(state, SETTINGS)
+    n = len(state.covariance)
+    H_full = np.zeros((len(residual), n))
+    H_full[:, columns] = H
+    expected = -central_differences(
+        lambda e: standing_measurement(box_plus(state, e), SETTINGS)[2], np.zeros(n)
+    )
+    np.testing.assert_allclose(H_full, expected, atol=1e-7)
+    assert (variance > 0.0).all()
+
+
+@pytest.mark.parametrize("direction", [0, 1, 2])
+def test_creeping_behind_cars_that_look_still_is_no_standing(
+    resting: State, direction: int
+) -> None:
+    velocity = np.zeros(3)
+    velocity[direction] = 0.3
+    T = resting.clones.T_world_imu.copy()
+    T[1, :3, 3] += 0.1 * velocity
+    creeping = replace(
+        resting,
+        imu=replace(resting.imu, velocity=velocity),
+        clones=replace(resting.clones, T_world_imu=T),
+    )
+    assert not prediction_allows_standing(creeping, SETTINGS)
+
+
+def test_turning_on_the_spot_is_no_standing(resting: State) -> None:
+    T = resting.clones.T_world_imu.copy()
+    T[1, :3, :3] = T[1, :3, :3] @ so3.exp(np.array([0.0, 0.0, 0.02]))
+    turning = replace(resting, clones=replace(resting.clones, T_world_imu=T))
+    assert not prediction_allows_standing(turning, SETTINGS)
+
+
+def test_the_prediction_needs_two_clones(resting: State) -> None:
+    assert prediction_allows_standing(resting, SETTINGS)
+    assert not prediction_allows_standing(drop_clone(resting, 0), SETTINGS)
+
+
+def test_update_takes_out_velocity_and_motion(resting: State) -> None:
+    T = resting.clones.T_world_imu.copy()
+    T[1, :3, 3] += [0.004, -0.003, 0.002]
+    T[1, :3, :3] = T[1, :3, :3] @ so3.exp(np.array([1e-3, -5e-4, 8e-4]))
+    moved = replace(
+        resting,
+        imu=replace(resting.imu, velocity=np.array([0.02, 0.01, -0.02])),
+        clones=replace(resting.clones, T_world_imu=T),
+        covariance=resting.covariance + 1e-3 * np.eye(len(resting.covariance)),
+    )
+    still = zero_velocity_update(moved, SETTINGS)
+    before, after = (
+        standing_measurement(moved, SETTINGS)[2],
+        standing_measurement(still, SETTINGS)[2],
+    )
+    assert np.abs(after[:3]).max() < 0.5 * np.abs(before[:3]).max()
+    assert np.abs(after[3:6]).max() < 0.1 * np.abs(before[3:6]).max()
+    assert np.abs(after[6:]).max() < 0.1 * np.abs(before[6:]).max()
+
+
+Drive = Callable[[float, FloatArray, ImuNoise], list[MsckfFilter]]
+
+
+@pytest.fixture
+def drive_forward(
+    rig: StereoRig, start_ns: int, landmarks: FloatArray, observe: Callable[..., FrontendFrame]
+) -> Drive:
+    """A function (frame rate in Hz, speeds (M,) at 100 Hz, noise) to the filter after each frame.
+
+    The rig goes along the world's x axis; 45 % of what it sees moves about on its own.
+    """
+
+    def run(rate_hz: float, speed: FloatArray, noise: ImuNoise) -> list[MsckfFilter]:
+        rng = np.random.default_rng(4)
+        t = start_ns + 10_000_000 * np.arange(len(speed))
+        R = so3.exp(np.array([0.05, -0.1, 0.0]))
+        accel = np.gradient(speed, 0.01)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, 9.81]
+        gyro_bias, accel_bias = np.array([0.01, -0.02, 0.015]), np.array([0.03, 0.05, -0.04])
+        data = noisy_imu(
+            ImuData(t, np.zeros((len(t), 3)), accel @ R), noise, rng,
+            gyro_bias=gyro_bias, accel_bias=accel_bias,
+        ).data  # fmt: skip
+        buffer = ImuBuffer()
+        for stamp, gyro, force in zip(data.timestamp_ns, data.gyro, data.accel, strict=True):
+            buffer.append(ImuSample(int(stamp), gyro, force))
+        zero = np.zeros(3)
+        known = KnownStateInitializer(
+            int(t[50]), ImuState(R, zero, zero, gyro_bias, accel_bias), InitialSigmas(), rig, noise,
+            Settings(),
+        )  # fmt: skip
+        started = known((observe(rig, se3.make(R, zero), landmarks, int(t[50])),), buffer)
+        assert not isinstance(started, str)
+        (ego, table), out = started, []
+        movers = np.arange(100) % 20 < 9
+        x = np.cumsum(speed) * 0.01
+        for k, i in enumerate(range(50, len(t) - 5, round(100 / rate_hz))):
+            ego = ego.predict(int(t[i]), buffer)
+            points = landmarks[:100] + movers[:, None] * np.array([0.0, 0.1 * (-1) ** k, 0.0])
+            T = se3.make(R, np.array([x[i] - x[50], 0.0, 0.0]))
+            table = append_frame(table, observe(rig, T, points, int(t[i]), 0.1, rng))
+            # what the split would say of them
+            table = mark_outliers(
+                table, table.feature_id, np.isin(table.feature_id, np.flatnonzero(movers))
+            )
+            ego, table = ego.correct(table)
+            ego, table = ego.marginalize(table)
+            buffer.drop_before(int(t[i]) - 1_000_000_000)
+            out.append(ego)
+        return out
+
+    return run
+
+
+def test_a_minute_of_standing_drifts_less_than_a_centimetre(
+    drive_forward: Drive, noise: ImuNoise
+) -> None:
+    egos = drive_forward(5.0, np.zeros(6100), noise)
+    assert len(egos) > 295
+    assert all(ego.standing for ego in egos[3:])  # the first have nothing to look back at
+    assert max(np.linalg.norm(ego.state.imu.position) for ego in egos) < 0.01
+    assert np.linalg.norm(egos[-1].state.imu.velocity) < 0.01
+    assert len(egos[-1].state.clones) <= 4
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 20.0])
+@pytest.mark.parametrize("speed", [0.1, 0.2, 0.5, 3.0])
+def test_a_rig_that_leaves_its_rest_is_not_held_back(
+    drive_forward: Drive, noise: ImuNoise, rate_hz: float, speed: float
+) -> None:
+    profile = np.clip(np.arange(700) / 100.0 - 2.5, 0.0, 1.0) * speed  # stands, then goes
+    egos = drive_forward(rate_hz, profile, noise)
+    way = float(np.sum(profile[51:]) * 0.01)
+    moving = egos[round(3.5 * rate_hz) :]
+    assert sum(ego.standing for ego in egos[: round(1.5 * rate_hz)]) > rate_hz / 2
+    assert sum(ego.standing for ego in moving) <= 2
+    assert float(egos[-1].state.imu.position[0]) == pytest.approx(way, rel=0.1)
