@@ -19,7 +19,6 @@ from rich.table import Table
 from ovmot.datasets import RecordedSequence, events, open_sequence
 from ovmot.errors import InputError
 from ovmot.odometry import Odometry
-from ovmot.run import make_initializer
 from ovmot.runtime import prepare_process
 from ovmot.settings import Settings
 from ovmot.types import Event, StereoFrame
@@ -78,15 +77,15 @@ def measure(sequence: RecordedSequence, runs: int) -> tuple[str, ...]:
 def run_once(sequence: RecordedSequence, stream: list[Event]) -> tuple[float, dict[str, float]]:
     """Wall seconds of feeding everything, and the mean milliseconds of each stage."""
     settings = Settings()
-    odometry = Odometry(sequence.rig, settings, make_initializer(sequence, settings, None))
+    odometry = Odometry(sequence.rig, sequence.imu_noise, settings)
     spent: dict[str, list[float]] = {}
     begin = time.perf_counter()
     for event in stream:
-        for result in odometry.feed(event):
+        for result in odometry.add(event):
             for name, milliseconds in result.milliseconds.items():
                 spent.setdefault(name, []).append(milliseconds)
     seconds = time.perf_counter() - begin
-    odometry.close()
+    odometry.finish()
     if not spent:
         raise InputError(f"{sequence.root}: never started: {odometry.not_started_because}")
     n_results = max(len(values) for values in spent.values())

@@ -14,7 +14,7 @@ from ovmot.feature_table import FeatureTable
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.initialization.initializer import FilterInitializer
+from ovmot.interfaces import Feedback
 from ovmot.odometry import STAGES, Odometry, camera_motion
 from ovmot.segmentation.segmentation import Segmentation, segment_points
 from ovmot.settings import ObjectSettings, Settings
@@ -85,7 +85,7 @@ def merged(frames: Sequence[StereoFrame], imu: Sequence[ImuSample]) -> list[Even
 
 
 def with_filter(rig: StereoRig) -> Odometry:
-    return Odometry(rig, SETTINGS, FilterInitializer(rig, NOISE, SETTINGS))
+    return Odometry(rig, NOISE, SETTINGS)
 
 
 def with_poses(
@@ -94,16 +94,15 @@ def with_poses(
     stamps = np.array([f.timestamp_ns for f in frames])
     positions = [[0.0, sideways(1e-9 * (int(s) - ORIGIN_NS))[0], 0.0] for s in stamps]
     T = se3.make(np.broadcast_to(np.eye(3), (len(stamps), 3, 3)), np.array(positions))
-    return Odometry(
-        rig, settings, GivenPosesInitializer(GivenPoses(stamps, T, rig, settings.given_ego))
-    )
+    given = GivenPosesInitializer(GivenPoses(stamps, T, rig, settings.given_ego))
+    return Odometry(rig, None, settings, initializer=given)
 
 
 def run(odometry: Odometry, events: Sequence[Event]) -> list[FrameResult]:
     try:
-        return list(itertools.chain.from_iterable(odometry.feed(event) for event in events))
+        return list(itertools.chain.from_iterable(odometry.add(event) for event in events))
     finally:
-        odometry.close()
+        odometry.finish()
 
 
 @pytest.fixture(scope="module")
@@ -170,12 +169,12 @@ def test_a_frame_waits_for_its_imu(
     frames, imu = drive
     odometry = with_filter(painted_rig)
     for frame in frames:
-        assert odometry.feed(frame) == []
+        assert odometry.add(frame) == []
     when: dict[int, int] = {}
     for sample in imu:
-        for result in odometry.feed(sample):
+        for result in odometry.add(sample):
             when[result.timestamp_ns] = sample.timestamp_ns
-    odometry.close()
+    odometry.finish()
     assert odometry.dropped == 0
     assert list(when) == [r.timestamp_ns for r in driven]
     for frame_ns, sample_ns in when.items():
@@ -198,15 +197,15 @@ def test_stamps_must_rise(
 ) -> None:
     frames, imu = drive
     odometry = with_filter(painted_rig)
-    odometry.feed(frames[1])
+    odometry.add(frames[1])
     for late in (frames[0], frames[1]):
         with pytest.raises(DatasetError, match=f"frame stamp {late.timestamp_ns} does not follow"):
-            odometry.feed(late)
-    odometry.feed(imu[5])
+            odometry.add(late)
+    odometry.add(imu[5])
     for sample in (imu[4], imu[5]):
         with pytest.raises(DatasetError, match=f"IMU stamp {sample.timestamp_ns} does not follow"):
-            odometry.feed(sample)
-    odometry.close()
+            odometry.add(sample)
+    odometry.finish()
 
 
 def test_without_a_start_it_says_why(painted_rig: StereoRig, painted_pair: Pair) -> None:
@@ -276,7 +275,7 @@ def test_no_update_ever_uses_a_feature_once_it_was_found_to_move(
     n_dynamic = 0
     for event in merged(frames, imu_of(2.0)):
         spy.pixels.clear()
-        for result in odometry.feed(event):
+        for result in odometry.add(event):
             points = result.points
             for feature, uv in zip(points.feature_id.tolist(), points.pixels.tolist(), strict=True):
                 history.setdefault(feature, set()).add(tuple(uv[:2]))
@@ -285,7 +284,7 @@ def test_no_update_ever_uses_a_feature_once_it_was_found_to_move(
             for feature in moving:
                 gone |= history[feature]
             assert not {row[:2] for row in spy.rows()} & gone
-    odometry.close()
+    odometry.finish()
     assert n_dynamic > 30
     assert spy.calls > 3
 
@@ -335,13 +334,13 @@ def test_a_refused_right_observation_never_reaches_the_filter(
     their left halves are.
     """
     tables: list[FeatureTable] = []
-    true_correct = MsckfFilter.correct
+    true_correct = MsckfFilter.update
 
     def correct(ego: MsckfFilter, table: FeatureTable) -> object:
         tables.append(table)
         return true_correct(ego, table)
 
-    monkeypatch.setattr(MsckfFilter, "correct", correct)
+    monkeypatch.setattr(MsckfFilter, "update", correct)
     frames = frames_of(painted_pair, 20, lift=6)
     odometry = with_filter(painted_rig)
     tested = _spy_on_matches(odometry, monkeypatch)
@@ -383,8 +382,8 @@ def _spy_on_matches(odometry: Odometry, monkeypatch: pytest.MonkeyPatch) -> list
     tracker = odometry._frontend
     true_track = tracker.track
 
-    def track(frame: StereoFrame, T_now_before: FloatArray) -> object:
-        seen, matches = true_track(frame, T_now_before)
+    def track(frame: StereoFrame, T_now_before: FloatArray, feedback: Feedback) -> object:
+        seen, matches = true_track(frame, T_now_before, feedback)
         tested.append(matches)
         return seen, matches
 
@@ -411,8 +410,8 @@ def test_a_numerical_failure_names_the_frame(
     done: list[FrameResult] = []
     with pytest.raises(OvmotError) as caught:
         for event in merged(frames, imu):
-            done += odometry.feed(event)
-    odometry.close()
+            done += odometry.add(event)
+    odometry.finish()
     assert len(done) >= 1
     stamp = done[-1].timestamp_ns + 10**8
     assert str(caught.value) == f"the estimate broke down at frame {stamp} ns: {failure}"
@@ -451,7 +450,7 @@ def test_the_imu_does_not_pile_up_before_a_start(
     painted_rig: StereoRig, painted_pair: Pair
 ) -> None:
     restless = replace_settings(rest_gyro_rps=1e-9, motion_window_s=1.2)
-    odometry = Odometry(painted_rig, restless, FilterInitializer(painted_rig, NOISE, restless))
+    odometry = Odometry(painted_rig, NOISE, restless)
     still = [painted_pair(ORIGIN_NS + 10**9 * i, 0.0, 0.0, 0) for i in range(8)]  # too seldom
     imu = [ImuSample(ORIGIN_NS + 5_000_000 * k, np.zeros(3), np.array([0.0, 0.0, 9.81]))
            for k in range(1600)]  # fmt: skip

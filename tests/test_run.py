@@ -374,16 +374,16 @@ def test_an_existing_run_is_not_overwritten(painted_euroc: Path, tmp_path: Path)
 def test_a_pose_that_is_not_finite_ends_the_run(
     painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    true_feed = Odometry.feed
+    true_add = Odometry.add
 
-    def feed(self: Odometry, event: Event) -> list[FrameResult]:
+    def add(self: Odometry, event: Event) -> list[FrameResult]:
         broken = np.full((4, 4), np.nan)
         return [
             replace(r, ego=replace(r.ego, T_world_imu=broken)) if r.timestamp_ns > STAMPS[8] else r
-            for r in true_feed(self, event)
+            for r in true_add(self, event)
         ]
 
-    monkeypatch.setattr(Odometry, "feed", feed)
+    monkeypatch.setattr(Odometry, "add", add)
     with pytest.raises(OvmotError, match=f"the pose at {STAMPS[9]} ns is not finite"):
         run(painted_euroc, tmp_path / "out")
     assert stamps_in(tmp_path / "out" / "state.csv")[-1] == STAMPS[8]

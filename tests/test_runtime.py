@@ -3,10 +3,11 @@
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
-from ovmot.runtime import BLAS_THREAD_VARIABLES
+from ovmot.runtime import BLAS_THREAD_VARIABLES, Stopwatch
 
 
 def output_of(code: str, **extra: str) -> str:
@@ -44,3 +45,22 @@ def test_prepare_process_holds_blas_to_one_thread_after_numpy_was_imported() -> 
         "print({i['num_threads'] for i in threadpool_info() if i['user_api'] == 'blas'})"
     )
     assert output_of(code) == "{1}"
+
+
+def test_a_stage_entered_twice_is_added_up_and_stages_stay_apart() -> None:
+    watch = Stopwatch()
+    for _ in range(2):
+        with watch.stage("track"):
+            time.sleep(0.005)
+    with watch.stage("segment"):
+        pass
+    assert list(watch.milliseconds) == ["track", "segment"]
+    assert watch.milliseconds["track"] >= 10.0
+    assert 0.0 <= watch.milliseconds["segment"] < watch.milliseconds["track"]
+
+
+def test_a_stage_that_raises_is_timed_and_its_error_passed_on() -> None:
+    watch = Stopwatch()
+    with pytest.raises(ZeroDivisionError), watch.stage("update"):
+        _ = 1 / 0
+    assert watch.milliseconds["update"] >= 0.0

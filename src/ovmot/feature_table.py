@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.id_sets import positions
 from ovmot.types import FrontendFrame
 
 MAX_SHARING_ROWS = 20
@@ -54,6 +55,10 @@ class FeatureTable:
             return np.zeros(len(self.feature_id), dtype=np.bool_)
         return np.asarray(np.isfinite(self.pixels[-1, :, ::2]).any(axis=-1))
 
+    def columns(self, feature_id: IntArray) -> IntArray:
+        """Columns (N,) of features (N,), -1 for those that the table does not hold."""
+        return positions(feature_id, self.feature_id)
+
 
 def empty_table() -> FeatureTable:
     """A table of no frames and no features."""
@@ -69,8 +74,7 @@ def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     new_ids = seen.feature_id[~np.isin(seen.feature_id, table.feature_id)]
     n_new = len(new_ids)
     feature_id = np.concatenate([table.feature_id, new_ids])
-    order = np.argsort(feature_id)
-    column = order[np.searchsorted(feature_id, seen.feature_id, sorter=order)]
+    column = positions(seen.feature_id, feature_id)
 
     pixels = np.full((n_rows + 1, n_old + n_new, 4), np.nan)
     normalized = np.full_like(pixels, np.nan)

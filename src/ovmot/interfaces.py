@@ -1,7 +1,10 @@
-"""What the pipeline asks of its parts: a front end, a source of ego motion, and a start."""
+"""What the odometry asks of its parts: a front end, an odometry source, an initializer."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol, Self
+
+import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable
@@ -18,28 +21,46 @@ from ovmot.types import (
 from ovmot.vio.imu_buffer import ImuBuffer
 
 
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """What the later stages of one frame tell the front end and the segmentation of the next.
+
+    `rig`: the calibration as estimated now. `pixel_sigma`: standard deviation of a stereo match's
+    pixels as the epipolar distances show it, NaN before the first one.
+
+    Features that move on their own: `moving_id` (M,) and their velocities `moving_velocity` (M, 3),
+    m/s in the left camera's axes. Where more features are wanted: left pixels `focus_uv` (N, 2) and
+    radii `focus_radius_px` (N,). Features that objects hold, which the odometry source leaves
+    alone: `held_id` (K,).
+    """
+
+    rig: StereoRig
+    pixel_sigma: float
+    moving_id: IntArray
+    moving_velocity: FloatArray
+    focus_uv: FloatArray
+    focus_radius_px: FloatArray
+    held_id: IntArray
+
+
+def no_feedback(rig: StereoRig) -> Feedback:
+    """That of a first frame: nothing is known but the calibration."""
+    ids = np.empty(0, dtype=np.int64)
+    return Feedback(
+        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids
+    )  # fmt: skip
+
+
 class FrontEnd(Protocol):
-    """From one frame to the next, features with ids."""
+    """Features with ids, from one frame to the next."""
 
     def track(
-        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame, and every stereo match that the epipolar gate tested.
 
         `T_now_before` (4, 4): predicted motion of the left camera since the last frame.
         """
-        ...
-
-    def calibrate(self, rig: StereoRig) -> None:
-        """From now on the rig is calibrated like this."""
-        ...
-
-    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
-        """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
-        ...
-
-    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
-        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
         ...
 
     def close(self) -> None:
@@ -48,7 +69,7 @@ class FrontEnd(Protocol):
 
 
 class OdometrySource(Protocol):
-    """A source of ego motion: the filter, or poses from a file. Each step gives a new one."""
+    """Where the rig is: the filter, or poses from a file. Each step returns a new source."""
 
     def imu_time_ns(self, frame_ns: int) -> int:
         """A frame's time on the IMU's clock."""
@@ -58,16 +79,16 @@ class OdometrySource(Protocol):
         """The IMU time that a frame must wait for, or None."""
         ...
 
-    def predict(self, frame_ns: int, imu: ImuBuffer) -> Self:
-        """Go to the frame's time and remember its pose."""
+    def propagate(self, frame_ns: int, imu: ImuBuffer) -> Self:
+        """Propagate to the frame's time and clone the pose."""
         ...
 
-    def correct(self, table: FeatureTable) -> tuple[Self, FeatureTable]:
-        """Use what was seen, but no feature that is barred or suspect."""
+    def update(self, table: FeatureTable) -> tuple[Self, FeatureTable]:
+        """Update by the features of the table, without dynamic ones and outliers."""
         ...
 
     def marginalize(self, table: FeatureTable) -> tuple[Self, FeatureTable]:
-        """Let a pose leave the window."""
+        """Let one clone leave the window."""
         ...
 
     def window(self) -> PoseWindow:
@@ -83,7 +104,7 @@ class OdometrySource(Protocol):
         ...
 
     def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
-        """The state carried to a time on the IMU's clock."""
+        """The state propagated to a time on the IMU's clock."""
         ...
 
     def health(self, frame_ns: int) -> Health:
@@ -91,12 +112,12 @@ class OdometrySource(Protocol):
         ...
 
     def placed(self, T_world_imu: FloatArray) -> Self:
-        """The same source, which has just started, at a given position and heading."""
+        """The same source, just initialized, with its first pose at this position and heading."""
         ...
 
 
 class Initializer(Protocol):
-    """Looks for a start in the frames seen so far."""
+    """Looks for an initial state in the frames seen so far."""
 
     def imu_time_ns(self, frame_ns: int) -> int:
         """A frame's time on the IMU's clock."""
@@ -109,8 +130,8 @@ class Initializer(Protocol):
     def __call__(
         self, frames: Sequence[FrontendFrame], imu: ImuBuffer
     ) -> tuple[OdometrySource, FeatureTable] | str:
-        """An ego source and the table of the frames that it has gone through, or why there is none.
+        """An odometry source and the table of the frames it has used, or why there is none.
 
-        That is none of the frames, and the source is at the first of them; or all of them.
+        Either none of the frames are used, and the source is at the first of them; or all are.
         """
         ...

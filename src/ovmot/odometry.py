@@ -6,18 +6,24 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError, OvmotError
-from ovmot.feature_table import FeatureTable, append_frame, empty_table, mark_dynamic, mark_outliers
+from ovmot.feature_table import (
+    FeatureTable,
+    append_frame,
+    empty_table,
+    mark_dynamic,
+    mark_outliers,
+)
 from ovmot.frontend.epipolar import match_sigma
+from ovmot.frontend.focus import focus_areas
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.interfaces import FrontEnd, Initializer, OdometrySource
-from ovmot.objects.exclusion import excluded_features
-from ovmot.objects.measurement import measure_objects
-from ovmot.objects.tracker import ObjectTracker
+from ovmot.geometry.arrays import FloatArray
+from ovmot.initialization.initializer import FilterInitializer
+from ovmot.interfaces import Feedback, FrontEnd, Initializer, OdometrySource, no_feedback
+from ovmot.objects.moving_objects import MovingObjects
+from ovmot.runtime import Stopwatch
 from ovmot.segmentation.segmentation import Segmentation, segment_points
-from ovmot.settings import Settings
-from ovmot.timing import Stopwatch
+from ovmot.settings import ImuSettings, Settings
 from ovmot.types import (
     EgoEstimate,
     Event,
@@ -25,50 +31,73 @@ from ovmot.types import (
     FrameResult,
     FrontendFrame,
     Health,
+    ImuNoise,
     ImuSample,
-    ObjectTrack,
     PointLabel,
     PoseWindow,
-    ScenePoints,
     StereoFrame,
-    StereoMatches,
 )
 from ovmot.vio.imu_buffer import ImuBuffer, integrated_rotation
 
-_NOISE_GAIN = 0.1  # of a frame, in the noise of matches
-_IMU_KEPT_NS = 1_000_000_000  # behind the newest frame, on the IMU's clock
+IMU_KEPT_NS = 1_000_000_000
+"""IMU samples kept behind the newest frame, on the IMU's clock."""
 
-STAGES = ("start", "predict", "match", "split", "correct", "objects", "forget")
+_NOISE_GAIN = 0.1  # of a new frame, in the averaged noise of matches
+
+STAGES = ("initialize", "propagate", "track", "segment", "update", "objects", "marginalize")
 
 
 class Odometry:
-    """Keeps the front end, the IMU buffer, the ego source and the table of what was seen."""
+    """Stereo-inertial odometry with moving-object tracks, fed one event at a time.
+
+    Parameters
+    ----------
+    rig
+        Both cameras, their poses on the IMU and the time offset.
+    imu_noise
+        Noise densities of the IMU; None for those of the settings.
+    settings
+        What differs from the defaults.
+    initializer
+        Where the odometry source comes from: by default the filter, initialized statically or
+        dynamically; `GivenPosesInitializer` for poses from elsewhere.
+    frontend
+        Another front end than the one that `tracker.cameras` names.
+
+    Raises
+    ------
+    InputError
+        By `add`, for events out of order, and where a frame is not what the front end takes.
+    OvmotError
+        By `add`, with the frame's stamp, where the estimate breaks down numerically.
+    """
 
     def __init__(
         self,
         rig: StereoRig,
-        settings: Settings,
-        start: Initializer,
+        imu_noise: ImuNoise | None = None,
+        settings: Settings | None = None,
+        *,
+        initializer: Initializer | None = None,
         frontend: FrontEnd | None = None,
     ) -> None:
-        self._rig = rig
+        settings = settings or Settings()
         self._settings = settings
-        self._start = start
+        self._initializer: Initializer = initializer or FilterInitializer(
+            rig, noise_in_use(imu_noise, settings.imu), settings
+        )
         self._frontend: FrontEnd = frontend or FRONT_ENDS[settings.tracker.cameras](
             rig, settings.tracker, settings.epipolar
         )
-        self._objects: ObjectTracker | None = None
-        if settings.objects.enabled:
-            self._objects = ObjectTracker(rig, settings.object_tracks)
-        self._rng = np.random.default_rng(settings.objects.seed)
-        self._object_settings = settings.objects
-        self._noise_px = float("nan")
-        self._excluded = np.empty(0, dtype=np.int64)
+        self._rig = rig
+        self._focus_width_m = settings.tracker.focus_width_m
+        self._objects = MovingObjects(rig, settings)
         self._imu = ImuBuffer()
-        self._ego: OdometrySource | None = None
+        self._source: OdometrySource | None = None
         self._table = empty_table()
+        self._feedback = no_feedback(rig)
         self._waiting: deque[StereoFrame | FeatureFrame] = deque()
-        self._pending: deque[FrontendFrame] = deque()
+        self._before_start: deque[FrontendFrame] = deque()
         self._last_frame_ns: int | None = None
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
@@ -77,8 +106,8 @@ class Odometry:
             resets=0, frames_split_unsure=0, frames_degraded=0, frames_lost=0
         )
 
-    def feed(self, event: Event) -> list[FrameResult]:
-        """Take one IMU sample or frame; give the results that it made possible.
+    def add(self, event: Event) -> list[FrameResult]:
+        """Take one IMU sample or frame; return the results that it made possible.
 
         A frame is held until the IMU covers its time. Raises `DatasetError` where the stamps of a
         kind do not rise, `OvmotError` with the frame's stamp where the numbers break down.
@@ -95,42 +124,64 @@ class Odometry:
                 results.append(result)
         return results
 
+    def finish(self) -> list[FrameResult]:
+        """Stop the worker threads; return the results that were still awaited, in order.
+
+        Frames that the IMU never covered have none; `dropped` counts them.
+        """
+        self.dropped += len(self._waiting)
+        self._waiting.clear()
+        self._frontend.close()
+        return []
+
     def step(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
-        """One frame through all stages; None while there is no start."""
-        watch = Stopwatch()
-        # 0 before: look for a start, and go through the frames it was found in
-        if self._ego is None:
-            return self._before(frame, watch)
-        # 1 predict: propagate to the frame's time and clone the pose
-        with watch.stage("predict"):
-            ego = self._ego.predict(frame.timestamp_ns, self._imu)
-        # 2 match: follow, match left to right, check every pair by the extrinsics
-        with watch.stage("match"):
-            rig = ego.calibrated_rig()
-            self._frontend.calibrate(rig)
-            seen, matches = self._frontend.track(frame, camera_motion(ego.window(), rig))
-            self._note_noise(matches)
-        # 3 split: what the predicted motion does not explain leaves the filter with its history
-        with watch.stage("split"):
-            table, split = self._split(append_frame(self._table, seen), seen, ego)
-        # 4 correct: zero velocity, ended features
-        with watch.stage("correct"):
-            ego, table = ego.correct(table)
-        # 5 objects: group, fit rigid motions, refine, and track, by the corrected motion
+        """One frame through all stages; None while there is no initial state."""
+        watch, feedback = Stopwatch(), self._feedback
+        # 0 initialize: static or dynamic, and go through the frames that were used for it
+        if self._source is None:
+            return self._initialize(frame, watch)
+        # 1 propagate: IMU to the frame's time, clone the pose
+        with watch.stage("propagate"):
+            source = self._source.propagate(frame.timestamp_ns, self._imu)
+        # 2 track: temporal and stereo matching from predicted places, epipolar gate on every pair
+        with watch.stage("track"):
+            T_now_before = camera_motion(source.window(), feedback.rig)
+            seen, matches = self._frontend.track(frame, T_now_before, feedback)
+            pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
+        # 3 segment: what the predicted motion does not explain leaves the filter for good
+        with watch.stage("segment"):
+            table, segmentation = self._segment(append_frame(self._table, seen), seen, source)
+        # 4 update: zero velocity, SLAM features in view, ended MSCKF features
+        with watch.stage("update"):
+            source, table = source.update(table)
+        # 5 objects: cluster, rigid motions, tracks, by the updated motion
         with watch.stage("objects"):
-            tracks, points = self._track_objects(table, split.points, ego)
-            # 6 focus: look closer where something moves, or may
-            self._frontend.focus(*self._where_to_look(points, split.outlier))
-        # 7 forget: the oldest pose leaves, or the newest when standing
-        with watch.stage("forget"):
-            self._ego, self._table = ego.marginalize(table)
-            self._drop_imu(self._ego.imu_time_ns(frame.timestamp_ns))
+            objects = self._objects.step(
+                table, segmentation.points, source.window(), source.calibrated_rig(),
+                self._noise_in_use(pixel_sigma),
+            )  # fmt: skip
+        # 6 marginalize: the oldest clone, or the newest one when stationary
+        with watch.stage("marginalize"):
+            self._source, self._table = source.marginalize(table)
+            self._imu.drop_before(self._source.imu_time_ns(frame.timestamp_ns) - IMU_KEPT_NS)
+        uv, radius = focus_areas(
+            objects.points, segmentation.outlier, self._rig.cam0, self._focus_width_m
+        )
+        self._feedback = Feedback(
+            rig=self._source.calibrated_rig(),
+            pixel_sigma=pixel_sigma,
+            moving_id=objects.moving_id,
+            moving_velocity=objects.moving_velocity,
+            focus_uv=uv,
+            focus_radius_px=radius,
+            held_id=objects.held_id,
+        )
         result = FrameResult(
             frame=frame,
-            ego=self._ego.estimate(frame.timestamp_ns),
-            points=points,
+            ego=self._source.estimate(frame.timestamp_ns),
+            points=objects.points,
             matches=matches,
-            tracks=tracks,
+            tracks=objects.tracks,
             milliseconds=watch.milliseconds,
             segment=self.counts["resets"],
         )
@@ -139,99 +190,46 @@ class Odometry:
 
     @property
     def started(self) -> bool:
-        """Is there an ego source that runs?"""
-        return self._ego is not None
+        """Is there an odometry source that runs?"""
+        return self._source is not None
+
+    def _noise_in_use(self, measured: float) -> float:
+        """Standard deviation of the pixels of a stereo match, for the objects."""
+        prior = self._settings.objects
+        known = prior.noise != "told" and np.isfinite(measured)
+        return measured if known else prior.pixel_sigma
 
     def latest(self) -> EgoEstimate | None:
-        """The state carried to the newest IMU sample, between frames; None without a start."""
+        """The state propagated to the newest IMU sample; None before initialization."""
         newest = self._imu.last_ns
-        if self._ego is None or newest is None:
+        if self._source is None or newest is None:
             return None
-        return self._ego.estimate_at(newest, self._imu)
+        return self._source.estimate_at(newest, self._imu)
 
-    def _note_noise(self, matches: StereoMatches) -> None:
-        """Take the noise of stereo pairs, as these matches show it, into the settings in use."""
-        sigma = match_sigma(matches)
-        if self._settings.objects.noise == "told" or not np.isfinite(sigma):
-            return
-        before = self._noise_px if np.isfinite(self._noise_px) else sigma
-        self._noise_px = before + _NOISE_GAIN * (sigma - before)
-        self._object_settings = self._settings.objects.model_copy(
-            update={"pixel_sigma": self._noise_px}
-        )
-
-    def _track_objects(
-        self, table: FeatureTable, points: ScenePoints, ego: OdometrySource
-    ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
-        """The tracks of this frame, and the points with the ids of their tracks."""
-        if self._objects is None:
-            return (), points
-        window, rig = ego.window(), ego.calibrated_rig()
-        points = self._objects.owned(points)
-        measurements = measure_objects(table, points, window, rig, self._object_settings, self._rng)
-        T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
-        now_ns = int(table.frame_ns[-1])
-        tracks, points = self._objects.step(now_ns, measurements, points, T_world_cam0)
-        self._excluded = excluded_features(points, self._object_settings.max_excluded_share)
-        ids, velocity = self._objects.expected(points)
-        self._frontend.expect(ids, velocity @ T_world_cam0[:3, :3])
-        return tracks, points
-
-    def _where_to_look(
-        self, points: ScenePoints, outlier: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Left pixels (N, 2) of points that move or do not look at rest, and radii (N,) around."""
-        if self._objects is None:
-            return np.empty((0, 2)), np.empty(0)
-        depth = points.p_cam0[:, 2]
-        moving = (points.label == int(PointLabel.DYNAMIC)) | (points.track_id >= 0)
-        chosen = np.flatnonzero((moving | outlier) & np.isfinite(depth))
-        half_width = 0.5 * self._settings.tracker.focus_width_m
-        radius = half_width * self._rig.cam0.fx / np.maximum(depth[chosen], 1.0)
-        return points.pixels[chosen, :2], radius
-
-    def close(self) -> None:
-        """Stop worker threads and count the frames that the IMU never covered."""
-        self.dropped += len(self._waiting)
-        self._waiting.clear()
-        self._frontend.close()
-
-    def _split(
-        self, table: FeatureTable, seen: FrontendFrame, ego: OdometrySource
-    ) -> tuple[FeatureTable, Segmentation]:
-        """The table with dynamic features barred and suspects marked, and the split itself."""
-        rig = ego.calibrated_rig()
-        split = segment_points(table, seen, ego.window(), rig, self._settings.split)
-        points = split.points
-        if split.trusted:
-            dynamic = points.label == int(PointLabel.DYNAMIC)
-            table = mark_dynamic(table, points.feature_id[dynamic])
-        else:
-            self.counts["frames_split_unsure"] += 1
-        outlier = split.outlier | np.isin(points.feature_id, self._excluded)
-        return mark_outliers(table, points.feature_id, outlier), split
-
-    def _before(self, frame: StereoFrame | FeatureFrame, watch: Stopwatch) -> FrameResult | None:
-        """Track by the gyroscope's rotation, try to start; on success catch up with this frame."""
-        with watch.stage("match"):
-            seen, matches = self._frontend.track(frame, self._rotation_before_start(frame))
-        self._pending.append(seen)
-        self._drop_old_pending()
-        with watch.stage("start"):
-            started = self._start(tuple(self._pending), self._imu)
+    def _initialize(
+        self, frame: StereoFrame | FeatureFrame, watch: Stopwatch
+    ) -> FrameResult | None:
+        """Track by the gyroscope's rotation and look for an initial state; on success go through
+        the frames up to this one."""
+        with watch.stage("track"):
+            rotation = self._rotation_before_start(frame)
+            seen, matches = self._frontend.track(frame, rotation, self._feedback)
+        self._before_start.append(seen)
+        self._drop_old_frames()
+        with watch.stage("initialize"):
+            started = self._initializer(tuple(self._before_start), self._imu)
             if isinstance(started, str):
                 self.not_started_because = started
                 self.counts["frames_before_start"] += 1
                 return None
-            ego, table = started
+            source, table = started
             if self._resume_at is not None:
-                ego = ego.placed(self._resume_at)
-            ego, self._table, split = self._caught_up(ego, table)
-            self._ego = ego
+                source = source.placed(self._resume_at)
+            self._source, self._table, segmentation = self._caught_up(source, table)
         return FrameResult(
             frame=frame,
-            ego=ego.estimate(frame.timestamp_ns),
-            points=split.points,
+            ego=self._source.estimate(frame.timestamp_ns),
+            points=segmentation.points,
             matches=matches,
             tracks=(),
             milliseconds=watch.milliseconds,
@@ -239,61 +237,73 @@ class Odometry:
         )
 
     def _caught_up(
-        self, ego: OdometrySource, table: FeatureTable
+        self, source: OdometrySource, table: FeatureTable
     ) -> tuple[OdometrySource, FeatureTable, Segmentation]:
-        """A source that has just started, its table and the split, at the newest pending frame."""
-        newest = self._pending[-1]
-        if newest.timestamp_ns in table.frame_ns:  # the start has used them all
-            table, split = self._split(table, newest, ego)
-            ego, table = ego.marginalize(table)
+        """A source just initialized, its table and the segmentation, at the newest frame."""
+        newest = self._before_start[-1]
+        if newest.timestamp_ns in table.frame_ns:  # the initializer has used them all
+            table, segmentation = self._segment(table, newest, source)
+            source, table = source.marginalize(table)
         else:
-            for seen in self._pending:
-                ego = ego.predict(seen.timestamp_ns, self._imu)
-                table, split = self._split(append_frame(table, seen), seen, ego)
-                ego, table = ego.correct(table)
-                ego, table = ego.marginalize(table)
-        self._pending.clear()
-        return ego, table, split
+            for seen in self._before_start:
+                source = source.propagate(seen.timestamp_ns, self._imu)
+                table, segmentation = self._segment(append_frame(table, seen), seen, source)
+                source, table = source.update(table)
+                source, table = source.marginalize(table)
+        self._before_start.clear()
+        return source, table, segmentation
+
+    def _segment(
+        self, table: FeatureTable, seen: FrontendFrame, source: OdometrySource
+    ) -> tuple[FeatureTable, Segmentation]:
+        """The segmentation, and the table with dynamic features and outliers marked."""
+        rig = source.calibrated_rig()
+        segmentation = segment_points(table, seen, source.window(), rig, self._settings.split)
+        points = segmentation.points
+        if segmentation.trusted:
+            dynamic = points.label == int(PointLabel.DYNAMIC)
+            table = mark_dynamic(table, points.feature_id[dynamic])
+        else:
+            self.counts["frames_split_unsure"] += 1
+        outlier = segmentation.outlier | np.isin(points.feature_id, self._feedback.held_id)
+        return mark_outliers(table, points.feature_id, outlier), segmentation
 
     def _watch_health(self, ego: EgoEstimate) -> None:
-        """Count what is not well; where the motion is lost, start again at the last pose."""
+        """Count what is not well; where the motion is lost, initialize again at the last pose."""
         if ego.health != Health.TRACKING:
             self.counts[f"frames_{ego.health}"] += 1
         if ego.health == Health.LOST and self._settings.health.reset:
             self.counts["resets"] += 1
             self._resume_at = ego.T_world_imu
-            self._ego, self._table = None, empty_table()
-            self._pending.clear()
+            self._source, self._table = None, empty_table()
+            self._before_start.clear()
 
-    def _drop_old_pending(self) -> None:
-        """Keep the frames that a start looks at, none older than the IMU, and their samples."""
+    def _drop_old_frames(self) -> None:
+        """Keep the frames that the initializer looks at, none older than the IMU, and their IMU."""
         initialization = self._settings.initialization
         span_ns = round(1.2e9 * initialization.motion_window_s)
-        first_ns = self._imu.first_ns
-        newest = self._pending[-1].timestamp_ns
-        while len(self._pending) > 1 and (
-            newest - self._pending[0].timestamp_ns > span_ns
+        frames, first_ns = self._before_start, self._imu.first_ns
+        newest = frames[-1].timestamp_ns
+        while len(frames) > 1 and (
+            newest - frames[0].timestamp_ns > span_ns
             or (
                 first_ns is not None
-                and self._start.imu_time_ns(self._pending[0].timestamp_ns) < first_ns
+                and self._initializer.imu_time_ns(frames[0].timestamp_ns) < first_ns
             )
         ):
-            self._pending.popleft()
-        oldest_ns = self._start.imu_time_ns(self._pending[0].timestamp_ns)
-        self._drop_imu(oldest_ns - round(1e9 * initialization.window_s))
-
-    def _drop_imu(self, needed_ns: int) -> None:
-        self._imu.drop_before(needed_ns - _IMU_KEPT_NS)
+            frames.popleft()
+        oldest_ns = self._initializer.imu_time_ns(frames[0].timestamp_ns)
+        self._imu.drop_before(oldest_ns - round(1e9 * initialization.window_s) - IMU_KEPT_NS)
 
     def _rotation_before_start(self, frame: StereoFrame | FeatureFrame) -> FloatArray:
         """Left camera's rotation since the last frame by the gyroscope alone, as T_now_before."""
         T = np.eye(4)
-        if not self._pending:
+        if not self._before_start:
             return T
         try:
             samples = self._imu.between(
-                self._start.imu_time_ns(self._pending[-1].timestamp_ns),
-                self._start.imu_time_ns(frame.timestamp_ns),
+                self._initializer.imu_time_ns(self._before_start[-1].timestamp_ns),
+                self._initializer.imu_time_ns(frame.timestamp_ns),
             )
         except DatasetError:
             return T  # no IMU there: start at the old positions
@@ -318,8 +328,8 @@ class Odometry:
         self._last_frame_ns = frame.timestamp_ns
 
     def _is_covered(self, frame_ns: int) -> bool:
-        source = self._start if self._ego is None else self._ego
-        needed = source.imu_needed_until(frame_ns)
+        part = self._initializer if self._source is None else self._source
+        needed = part.imu_needed_until(frame_ns)
         last = self._imu.last_ns
         return needed is None or (last is not None and last >= needed)
 
@@ -331,3 +341,21 @@ def camera_motion(window: PoseWindow, rig: StereoRig) -> FloatArray:
     T_world_cam0 = window.T_world_imu[-2:] @ rig.T_imu_cam0
     T_now_before: FloatArray = se3.inverse(T_world_cam0[1]) @ T_world_cam0[0]
     return T_now_before
+
+
+def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:
+    """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
+    known = calibrated or ImuNoise(*settings.fallback)
+    return ImuNoise(
+        gyro=settings.gyro_noise or known.gyro,
+        gyro_walk=settings.gyro_walk or known.gyro_walk,
+        accel=settings.accel_noise or known.accel,
+        accel_walk=settings.accel_walk or known.accel_walk,
+    )
+
+
+def _averaged(before: float, now: float) -> float:
+    """The noise of matches, averaged over frames (first-order low pass); NaN where never seen."""
+    if not np.isfinite(now):
+        return before
+    return now if not np.isfinite(before) else before + _NOISE_GAIN * (now - before)

@@ -20,7 +20,7 @@ from ovmot.frontend.given_features import GivenFeatures
 from ovmot.initialization.initializer import FilterInitializer
 from ovmot.initialization.known_state import InitialSigmas, KnownStateInitializer
 from ovmot.interfaces import FrontEnd, Initializer
-from ovmot.odometry import STAGES, Odometry
+from ovmot.odometry import STAGES, Odometry, noise_in_use
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.settings import Settings
@@ -169,7 +169,13 @@ def _run(
     began = time.perf_counter()
     ended = "finished"
     failure: BaseException | None = None
-    odometry = Odometry(source.rig, settings, source.start, source.frontend)
+    odometry = Odometry(
+        source.rig,
+        source.imu_noise,
+        settings,
+        initializer=source.start,
+        frontend=source.frontend,
+    )
     writer = open_outputs(
         options.out, rig=source.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
@@ -190,7 +196,7 @@ def _run(
         ended, failure = f"failed: {error}", error
         raise
     finally:
-        odometry.close()
+        odometry.finish()
         counts["frames_written"] = writer.frames_written
         counts["frames_never_covered_by_imu"] = odometry.dropped
         counts.update(odometry.counts)
@@ -293,19 +299,7 @@ def known_state_initializer(
 
 def imu_noise(sequence: RecordedSequence, settings: Settings) -> ImuNoise:
     """Noise densities for a sequence, see `noise_in_use`."""
-    return noise_in_use(sequence.imu_noise, settings)
-
-
-def noise_in_use(calibrated: ImuNoise | None, settings: Settings) -> ImuNoise:
-    """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
-    told = settings.imu
-    known = calibrated or ImuNoise(*told.fallback)
-    return ImuNoise(
-        gyro=told.gyro_noise or known.gyro,
-        gyro_walk=told.gyro_walk or known.gyro_walk,
-        accel=told.accel_noise or known.accel,
-        accel_walk=told.accel_walk or known.accel_walk,
-    )
+    return noise_in_use(sequence.imu_noise, settings.imu)
 
 
 def _feed_all(
@@ -321,7 +315,7 @@ def _feed_all(
             on_frame(counts["frames_read"] + counts["frames_without_pose"])
         else:
             counts["imu_samples_read"] += 1
-        for result in odometry.feed(event):
+        for result in odometry.add(event):
             writer.write(result)
             counts["stereo_matches"] += len(result.matches.accepted)
             counts["stereo_matches_refused"] += int(np.count_nonzero(~result.matches.accepted))

@@ -1,4 +1,4 @@
-"""Process-wide limits that make NumPy and OpenCV quick on small matrices and few cores.
+"""What a process is held to, and a stopwatch for the stages of a frame.
 
 Small dense factorisations are slower with several BLAS threads than with one, OpenCV's own
 threads gain less than one Python thread per camera, and glibc gives every freed image back to
@@ -8,6 +8,9 @@ the kernel. `limit_blas_threads` must run before NumPy is first imported.
 import ctypes
 import os
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _M_TRIM_THRESHOLD = -1
 _M_TOP_PAD = -2
@@ -43,3 +46,20 @@ def prepare_process() -> None:
             libc.mallopt(_M_TOP_PAD, _TOP_PAD_BYTES)
         except (OSError, AttributeError):
             return  # another libc (musl): only speed is lost
+
+
+class Stopwatch:
+    """Collects milliseconds by stage name; a stage entered twice is added up."""
+
+    def __init__(self) -> None:
+        self.milliseconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the body of a `with` block under `name`."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            spent = 1e3 * (time.perf_counter() - start)
+            self.milliseconds[name] = self.milliseconds.get(name, 0.0) + spent

@@ -1,11 +1,14 @@
 """Where features are wanted: around what may move, and where an image has none."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.focus import focus_mask
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry.arrays import Image
+from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import StereoFrame
 
@@ -39,9 +42,13 @@ def test_more_features_where_something_may_move(painted_rig: StereoRig) -> None:
     image = textured()
     tracker = StereoTracker(painted_rig, SETTINGS, EpipolarSettings())
     try:
-        first, _ = tracker.track(StereoFrame(0, image, image), np.eye(4))
-        tracker.focus(np.array([[150.0, 120.0]]), np.array([30.0]))
-        second, _ = tracker.track(StereoFrame(1, image, image), np.eye(4))
+        first, _ = tracker.track(StereoFrame(0, image, image), np.eye(4), no_feedback(painted_rig))
+        feedback = replace(
+            no_feedback(painted_rig),
+            focus_uv=np.array([[150.0, 120.0]]),
+            focus_radius_px=np.array([30.0]),
+        )
+        second, _ = tracker.track(StereoFrame(1, image, image), np.eye(4), feedback)
     finally:
         tracker.close()
 
@@ -62,8 +69,10 @@ def test_a_covered_part_of_the_image_gets_features_though_there_are_enough(
     image[60:180, 100:220] = 120  # a wall without texture, until something comes before it
     tracker = StereoTracker(painted_rig, SETTINGS, EpipolarSettings())
     try:
-        before, _ = tracker.track(StereoFrame(0, image, image), np.eye(4))
-        after, _ = tracker.track(StereoFrame(1, covered, covered), np.eye(4))
+        before, _ = tracker.track(StereoFrame(0, image, image), np.eye(4), no_feedback(painted_rig))
+        after, _ = tracker.track(
+            StereoFrame(1, covered, covered), np.eye(4), no_feedback(painted_rig)
+        )
     finally:
         tracker.close()
     assert len(before) >= 40

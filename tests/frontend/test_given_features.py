@@ -7,6 +7,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
 from ovmot.frontend.given_features import GivenFeatures
 from ovmot.geometry.arrays import FloatArray
+from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
@@ -29,7 +30,9 @@ def test_a_match_off_its_line_loses_its_right_half(
     pixels = grid(painted_rig, 0.0)
     pixels[4, 3] += 5.0
     pixels[7, 2:] = np.nan
-    seen, matches = frontend.track(FeatureFrame(0, np.arange(30), pixels), np.eye(4))
+    seen, matches = frontend.track(
+        FeatureFrame(0, np.arange(30), pixels), np.eye(4), no_feedback(painted_rig)
+    )
     assert len(matches.feature_id) == 29
     assert matches.feature_id[~matches.accepted].tolist() == [4]
     assert np.flatnonzero(np.isnan(seen.pixels[:, 2])).tolist() == [4, 7]
@@ -47,20 +50,22 @@ def test_hops_count_frames_and_a_stray_track_fails_the_two_view_test(
     second[:, 0] += depth_shift
     second[3, 1] += 9.0
     second[:, 2:] = np.nan
-    frontend.track(FeatureFrame(0, np.arange(30), first), np.eye(4))
+    frontend.track(FeatureFrame(0, np.arange(30), first), np.eye(4), no_feedback(painted_rig))
     ids = np.arange(31)
     pixels = np.concatenate([second, [[100.0, 100.0, np.nan, np.nan]]])
-    seen, _ = frontend.track(FeatureFrame(1, ids[::-1], pixels[::-1]), np.eye(4))
+    seen, _ = frontend.track(
+        FeatureFrame(1, ids[::-1], pixels[::-1]), np.eye(4), no_feedback(painted_rig)
+    )
     track_length = dict(zip(seen.feature_id.tolist(), seen.track_length.tolist(), strict=True))
     assert track_length.pop(30) == 0
     assert set(track_length.values()) == {1}
     assert seen.feature_id[~seen.two_view_inlier].tolist() == [3]
 
 
-def test_images_are_refused(frontend: GivenFeatures) -> None:
+def test_images_are_refused(frontend: GivenFeatures, painted_rig: StereoRig) -> None:
     image = np.zeros((240, 320), dtype=np.uint8)
     with pytest.raises(OvmotError, match="frame 7: images"):
-        frontend.track(StereoFrame(7, image, image), np.eye(4))
+        frontend.track(StereoFrame(7, image, image), np.eye(4), no_feedback(painted_rig))
 
 
 def of(rig: StereoRig, cameras: str) -> GivenFeatures:
@@ -70,7 +75,9 @@ def of(rig: StereoRig, cameras: str) -> GivenFeatures:
 
 def test_the_left_camera_alone_leaves_the_right_halves(painted_rig: StereoRig) -> None:
     pixels = grid(painted_rig, 0.0)
-    seen, matches = of(painted_rig, "left").track(FeatureFrame(0, np.arange(30), pixels), np.eye(4))
+    seen, matches = of(painted_rig, "left").track(
+        FeatureFrame(0, np.arange(30), pixels), np.eye(4), no_feedback(painted_rig)
+    )
     np.testing.assert_array_equal(seen.pixels[:, :2], pixels[:, :2])
     assert np.isnan(seen.pixels[:, 2:]).all()
     assert len(matches.feature_id) == 0
@@ -86,8 +93,10 @@ def test_each_camera_by_itself_takes_the_pairs_apart(painted_rig: StereoRig) -> 
     second[5, 3] += 9.0
     second[7, :2] = np.nan  # only the right camera sees it
     frontend = of(painted_rig, "each")
-    frontend.track(FeatureFrame(0, np.arange(30), first), np.eye(4))
-    seen, matches = frontend.track(FeatureFrame(1, np.arange(30), second), np.eye(4))
+    frontend.track(FeatureFrame(0, np.arange(30), first), np.eye(4), no_feedback(painted_rig))
+    seen, matches = frontend.track(
+        FeatureFrame(1, np.arange(30), second), np.eye(4), no_feedback(painted_rig)
+    )
     assert len(matches.feature_id) == 0
     left = np.isfinite(seen.pixels[:, 0])
     assert seen.feature_id[left].tolist() == [2 * k for k in range(30) if k != 7]

@@ -7,6 +7,7 @@ import pytest
 
 from ovmot.datasets import open_sequence
 from ovmot.frontend.stereo_tracker import StereoTracker
+from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import StereoFrame
 
@@ -23,7 +24,9 @@ def test_matches_lie_on_their_epipolar_lines(data_root: Path) -> None:
     )
     tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
     try:
-        _, matches = tracker.track(StereoFrame(0, left, right), np.eye(4))
+        _, matches = tracker.track(
+            StereoFrame(0, left, right), np.eye(4), no_feedback(sequence.rig)
+        )
     finally:
         tracker.close()
     assert len(matches.distance_px) > 150

@@ -16,6 +16,7 @@ from ovmot.frontend.monocular_tracker import MonocularTracker
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame
 
@@ -36,7 +37,11 @@ def tracker_of(rig: StereoRig, cameras: str, settings: TrackerSettings = SETTING
 
 
 def drive(
-    tracker: ImageFrontEnd, painted_pair: Pair, n: int = 5, masks: Masks = (None, None)
+    tracker: ImageFrontEnd,
+    rig: StereoRig,
+    painted_pair: Pair,
+    n: int = 5,
+    masks: Masks = (None, None),
 ) -> list[FrontendFrame]:
     """The rig goes to its left, and the tracker is told."""
     out = []
@@ -45,7 +50,7 @@ def drive(
             frame = painted_pair(10**8 * i, STEP_M * i, 0.0, 0)
             frame = replace(frame, left_mask=masks[0], right_mask=masks[1])
             T = se3.make(np.eye(3), np.array([STEP_M if i else 0.0, 0.0, 0.0]))
-            seen, matches = tracker.track(frame, T)
+            seen, matches = tracker.track(frame, T, no_feedback(rig))
             assert isinstance(tracker, StereoTracker) or len(matches.feature_id) == 0
             out.append(seen)
     return out
@@ -56,7 +61,7 @@ def in_left(seen: FrontendFrame) -> BoolArray:
 
 
 def test_the_left_camera_alone(painted_rig: StereoRig, painted_pair: Pair) -> None:
-    seen = drive(tracker_of(painted_rig, "left"), painted_pair)[2]
+    seen = drive(tracker_of(painted_rig, "left"), painted_rig, painted_pair)[2]
     assert len(seen) > 80
     assert np.isfinite(seen.pixels[:, :2]).all()
     assert np.isnan(seen.pixels[:, 2:]).all()
@@ -66,7 +71,7 @@ def test_the_left_camera_alone(painted_rig: StereoRig, painted_pair: Pair) -> No
 def test_each_camera_follows_features_of_its_own(
     painted_rig: StereoRig, painted_pair: Pair
 ) -> None:
-    driven = drive(tracker_of(painted_rig, "each"), painted_pair)
+    driven = drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair)
     of_left: dict[int, bool] = {}
     for seen in driven:
         left, right = in_left(seen), np.isfinite(seen.pixels[:, 2])
@@ -83,7 +88,7 @@ def test_each_camera_follows_features_of_its_own(
 
 
 def test_right_features_stay_with_their_points(painted_rig: StereoRig, painted_pair: Pair) -> None:
-    driven = drive(tracker_of(painted_rig, "each"), painted_pair)
+    driven = drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair)
     first, last = driven[0], driven[-1]
     _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
     for columns in (slice(0, 2), slice(2, 4)):
@@ -98,7 +103,7 @@ def test_right_features_stay_with_their_points(painted_rig: StereoRig, painted_p
 
 
 def test_two_runs_are_equal_bit_for_bit(painted_rig: StereoRig, painted_pair: Pair) -> None:
-    runs = [drive(tracker_of(painted_rig, "each"), painted_pair) for _ in range(2)]
+    runs = [drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair) for _ in range(2)]
     for a, b in zip(*runs, strict=True):
         np.testing.assert_array_equal(a.feature_id, b.feature_id)
         np.testing.assert_array_equal(a.pixels, b.pixels)
@@ -118,7 +123,7 @@ def test_the_search_goes_on_from_two_views_and_the_motion(
         return flow
 
     monkeypatch.setattr(points_module, "follow", spy)
-    drive(tracker_of(painted_rig, "each"), painted_pair, n=3)
+    drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair, n=3)
     _, _, left, right = misses
     assert np.median(misses[0]) > 3.0  # the first time nothing is known
     for miss in (left, right):
@@ -136,7 +141,9 @@ def test_nothing_is_taken_from_masked_pixels(
     flipped = mask[:, ::-1].copy()
     left = None if masked == "cam1" else mask
     right = None if masked == "cam0" else flipped
-    driven = drive(tracker_of(painted_rig, cameras), painted_pair, n=3, masks=(left, right))
+    driven = drive(
+        tracker_of(painted_rig, cameras), painted_rig, painted_pair, n=3, masks=(left, right)
+    )
     u = np.concatenate([seen.pixels[:, 0] for seen in driven])
     u_right = np.concatenate([seen.pixels[:, 2] for seen in driven])
     assert np.isfinite(u).sum() > 60
@@ -153,4 +160,4 @@ def test_features_are_no_images(painted_rig: StereoRig) -> None:
     with closing(tracker_of(painted_rig, "each")) as tracker:
         assert isinstance(tracker, MonocularTracker)
         with pytest.raises(OvmotError, match="frame 7: features"):
-            tracker.track(frame, np.eye(4))
+            tracker.track(frame, np.eye(4), no_feedback(painted_rig))

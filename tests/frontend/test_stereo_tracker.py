@@ -16,6 +16,7 @@ from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
 
@@ -49,7 +50,7 @@ def drive(rig: StereoRig, painted_pair: Pair, n: int = 6, lift: int = 0) -> Seen
     with tracker_of(rig) as tracker:
         for i in range(n):
             frame = painted_pair(10**8 * i, STEP_M * i, 0.0, lift)
-            out.append(tracker.track(frame, sideways(STEP_M if i else 0.0)))
+            out.append(tracker.track(frame, sideways(STEP_M if i else 0.0), no_feedback(rig)))
     return out
 
 
@@ -152,8 +153,10 @@ def test_a_large_motion_needs_the_prediction(painted_rig: StereoRig, painted_pai
     share = {}
     for told in (0.0, 1.6):
         with tracker_of(painted_rig, settings) as tracker:
-            first, _ = tracker.track(painted_pair(0, 0.0), np.eye(4))
-            second, _ = tracker.track(painted_pair(10**8, 1.6), sideways(told))
+            first, _ = tracker.track(painted_pair(0, 0.0), np.eye(4), no_feedback(painted_rig))
+            second, _ = tracker.track(
+                painted_pair(10**8, 1.6), sideways(told), no_feedback(painted_rig)
+            )
         in_both = first.pixels[:, 0] < 320 - 75
         kept = np.isin(first.feature_id[in_both], second.feature_id)
         share[told] = kept.mean()
@@ -176,9 +179,9 @@ def test_a_body_that_moves_by_itself_is_followed(
         return replace(pair, left=left, right=right)
 
     with tracker_of(painted_rig) as tracker:
-        first, _ = tracker.track(falling(0), np.eye(4))
+        first, _ = tracker.track(falling(0), np.eye(4), no_feedback(painted_rig))
         for i in range(1, 5):
-            seen, _ = tracker.track(falling(i), sideways(STEP_M))
+            seen, _ = tracker.track(falling(i), sideways(STEP_M), no_feedback(painted_rig))
     u, v = seen.pixels[:, 0], seen.pixels[:, 1]
     body = (u > 126) & (u < 194) & (v > 96) & (v < 144) & (seen.track_length == 4)
     assert body.sum() >= 6
@@ -217,7 +220,9 @@ def test_a_rig_displaced_diagonally_is_matched(painted_rig: StereoRig, painted_p
     right[:112] = np.roll(flat.right, -5, axis=0)[:112]  # 200 · 0.2 / 8 px for the upper wall
     right[112:] = np.roll(flat.right, -8, axis=0)[112:]  # 200 · 0.2 / 5 px for the lower one
     with tracker_of(rig) as tracker:
-        seen, matches = tracker.track(StereoFrame(0, flat.left, right), np.eye(4))
+        seen, matches = tracker.track(
+            StereoFrame(0, flat.left, right), np.eye(4), no_feedback(painted_rig)
+        )
     slope = matches.line[:, 0] / matches.line[:, 1]
     np.testing.assert_allclose(np.abs(slope), 2.0 / 3.0, atol=1e-9)
     u, v = seen.pixels[:, 0], seen.pixels[:, 1]
@@ -290,7 +295,9 @@ def test_wrong_matches_of_any_kind_are_refused(
     monkeypatch.setattr(tracker_module, "follow", lying)
     with tracker_of(painted_rig) as tracker:
         for i, frame in enumerate(frames):
-            seen, matches = tracker.track(frame, sideways(STEP_M if i else 0.0))
+            seen, matches = tracker.track(
+                frame, sideways(STEP_M if i else 0.0), no_feedback(painted_rig)
+            )
             assert np.isnan(seen.pixels[::5, 2:]).all()
             assert np.isnan(seen.normalized[::5, 2:]).all()
             assert np.isfinite(seen.pixels[::5, :2]).all()
@@ -309,7 +316,9 @@ def test_nothing_is_taken_from_masked_pixels(painted_rig: StereoRig, painted_pai
             frame = painted_pair(10**8 * i, STEP_M * i, 0.0, 0)
             if i >= unmasked_frames:
                 frame = replace(frame, left_mask=mask, right_mask=mask[:, ::-1].copy())
-            seen, matches = tracker.track(frame, sideways(STEP_M if i else 0.0))
+            seen, matches = tracker.track(
+                frame, sideways(STEP_M if i else 0.0), no_feedback(painted_rig)
+            )
             right = seen.pixels[np.isfinite(seen.pixels[:, 2]), 2]
             if i < unmasked_frames:
                 assert (seen.pixels[:, 0] > 165).any()
@@ -325,8 +334,8 @@ def test_matches_are_checked_by_the_calibration_of_the_moment(
 ) -> None:
     turned = painted_rig.T_imu_cam1 @ se3.make(so3.exp(np.array([0.05, 0.0, 0.0])), np.zeros(3))
     with tracker_of(painted_rig) as tracker:
-        _, right = tracker.track(painted_pair(0, 0.0, 0.0, 0), np.eye(4))
-        tracker.calibrate(replace(painted_rig, T_imu_cam1=turned))
-        _, wrong = tracker.track(painted_pair(1, 0.0, 0.0, 0), np.eye(4))
+        _, right = tracker.track(painted_pair(0, 0.0, 0.0, 0), np.eye(4), no_feedback(painted_rig))
+        feedback = no_feedback(replace(painted_rig, T_imu_cam1=turned))
+        _, wrong = tracker.track(painted_pair(1, 0.0, 0.0, 0), np.eye(4), feedback)
     assert right.accepted.mean() > 0.9
     assert wrong.accepted.mean() < 0.1

@@ -36,7 +36,7 @@ def history_of(
             for ahead, left, v, n in bodies
         ]
         table, points, window = scene_of(rig, T, np.concatenate(parts, axis=1), 0.3, rng)
-        return motion_history(table, points, window, rig, TOLD)
+        return motion_history(table, points, window, rig, TOLD, TOLD.pixel_sigma)
 
     return make
 

@@ -41,7 +41,9 @@ def seen(
             parts.append(body(FRAMES, n, centre, velocity, yaw_rate, rng, size))
         table, points, window = scene_of(rig, T, np.concatenate(parts, axis=1), SIGMA, rng)
         points = replace(points, label=np.full_like(points.label, int(label)))
-        return measure_objects(table, points, window, rig, settings, np.random.default_rng(1))
+        return measure_objects(
+            table, points, window, rig, settings, settings.pixel_sigma, np.random.default_rng(1)
+        )
 
     return measured
 
@@ -165,7 +167,7 @@ def test_uncertain_poses_widen_the_velocity(
     sure, unsure = (
         measure_objects(
             table, points, replace(window, covariance=window.covariance * scale), rig, CALM,
-            np.random.default_rng(1),
+            CALM.pixel_sigma, np.random.default_rng(1),
         )[0]
         for scale in (1e-6, 1e2)
     )  # fmt: skip

@@ -50,7 +50,7 @@ class Odometry:
         self.counts: Counter[str] = Counter(resets=0)
         self.closed = False
 
-    def feed(self, event: Event) -> list[FrameResult]:
+    def add(self, event: Event) -> list[FrameResult]:
         if isinstance(event, ImuSample):
             return []
         assert isinstance(event, StereoFrame)

@@ -16,6 +16,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.interfaces import no_feedback
 from ovmot.settings import Settings
 from ovmot.sim.features import (
     FeatureBody,
@@ -143,7 +144,7 @@ def test_wrong_matches_come_at_the_asked_rate_and_the_gate_refuses_most() -> Non
     frontend = GivenFeatures(simulation.rig, settings.tracker, settings.epipolar)
     wrong_seen = wrong_kept = right_seen = right_kept = 0
     for seen in FeatureRecording(simulation, 3).frames():
-        _, matches = frontend.track(seen.frame, np.eye(4))
+        _, matches = frontend.track(seen.frame, np.eye(4), no_feedback(simulation.rig))
         _, i, j = np.intersect1d(seen.frame.feature_id, matches.feature_id, return_indices=True)
         wrong = seen.wrong_match[i]
         wrong_seen += int(wrong.sum())

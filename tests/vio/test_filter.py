@@ -64,8 +64,8 @@ def test_without_features_health_falls_and_comes_back(
         dark = 10 <= k < 45
         points = landmarks[:0] if dark else landmarks
         table = append_frame(table, observe(rig, curvy_path.pose(stamp), points, stamp))
-        ego = ego.predict(stamp, imu)
-        ego, table = ego.correct(table)
+        ego = ego.propagate(stamp, imu)
+        ego, table = ego.update(table)
         healths.append(ego.health(stamp))
         ego, table = ego.marginalize(table)
     assert healths[9] == Health.TRACKING
@@ -142,7 +142,7 @@ def test_a_window_is_placed_as_one_by_its_first_pose(
 def test_the_state_between_frames(
     ego: MsckfFilter, imu: ImuBuffer, curvy_path: PoseSpline, start_ns: int
 ) -> None:
-    ego = ego.predict(start_ns, imu)
+    ego = ego.propagate(start_ns, imu)
     between = start_ns + 37_000_000
     estimate = ego.estimate_at(between, imu)
     assert estimate.timestamp_ns == between
@@ -151,7 +151,7 @@ def test_the_state_between_frames(
     np.testing.assert_allclose(estimate.velocity, curvy_path.velocity(between), atol=1e-3)
     # as if a frame had come, and the filter itself is as it was
     np.testing.assert_allclose(
-        estimate.covariance, ego.predict(between, imu).state.covariance[:15, :15], rtol=1e-9
+        estimate.covariance, ego.propagate(between, imu).state.covariance[:15, :15], rtol=1e-9
     )
     assert ego.state.timestamp_ns == start_ns
     assert np.trace(estimate.covariance) > np.trace(ego.state.covariance[:15, :15])

@@ -38,7 +38,7 @@ def seen(stamp: int) -> FrontendFrame:
 
 def test_a_frame_gets_its_own_pose(ego: GivenPoses) -> None:
     for i in (0, 1, 2):
-        ego = ego.predict(int(STAMPS[i]), IMU)
+        ego = ego.propagate(int(STAMPS[i]), IMU)
         np.testing.assert_array_equal(ego.estimate(int(STAMPS[i])).T_world_imu, poses()[i])
     np.testing.assert_array_equal(ego.window().T_world_imu, poses()[:3])
     np.testing.assert_array_equal(ego.window().timestamp_ns, STAMPS[:3])
@@ -49,22 +49,22 @@ def test_a_frame_without_a_pose_is_an_error_and_never_another_s(
     ego: GivenPoses, stamp: int
 ) -> None:
     with pytest.raises(DatasetError, match=f"no pose is given for the frame at {stamp} ns"):
-        ego.predict(stamp, IMU)
+        ego.propagate(stamp, IMU)
 
 
 def test_the_window_forgets_the_oldest_with_its_rows(ego: GivenPoses) -> None:
     table = empty_table()
     for stamp in STAMPS.tolist():
-        ego = ego.predict(stamp, IMU)
+        ego = ego.propagate(stamp, IMU)
         table = append_frame(table, seen(stamp))
-        ego, table = ego.correct(table)
+        ego, table = ego.update(table)
         ego, table = ego.marginalize(table)
     np.testing.assert_array_equal(ego.window().timestamp_ns, STAMPS[-4:])
     np.testing.assert_array_equal(table.frame_ns, STAMPS[-4:])
 
 
 def test_the_covariance_is_as_told(ego: GivenPoses) -> None:
-    ego = ego.predict(int(STAMPS[0]), IMU).predict(int(STAMPS[1]), IMU)
+    ego = ego.propagate(int(STAMPS[0]), IMU).propagate(int(STAMPS[1]), IMU)
     variance = np.array([2e-3] * 3 + [0.05] * 3) ** 2
     np.testing.assert_allclose(ego.window().covariance, np.diag(np.tile(variance, 2)))
     estimate = ego.estimate(int(STAMPS[1]))
@@ -75,9 +75,9 @@ def test_the_covariance_is_as_told(ego: GivenPoses) -> None:
 
 
 def test_velocity_is_the_difference_of_the_last_two_poses(ego: GivenPoses) -> None:
-    ego = ego.predict(int(STAMPS[2]), IMU)
+    ego = ego.propagate(int(STAMPS[2]), IMU)
     assert np.isnan(ego.estimate(int(STAMPS[2])).velocity).all()
-    ego = ego.predict(int(STAMPS[4]), IMU)  # a frame between was left out
+    ego = ego.propagate(int(STAMPS[4]), IMU)  # a frame between was left out
     moved = poses()[4, :3, 3] - poses()[2, :3, 3]
     np.testing.assert_allclose(ego.estimate(int(STAMPS[4])).velocity, moved / 0.2)
 

@@ -50,12 +50,12 @@ class Drive:
     def run(self, bar: Callable[[FeatureTable], BoolArray] | None = None) -> Iterator["Step"]:
         ego, table = self.ego, empty_table()
         for seen in self.frames:
-            ego = ego.predict(seen.timestamp_ns, self.imu)
+            ego = ego.propagate(seen.timestamp_ns, self.imu)
             table = append_frame(table, seen)
             if bar is not None:
                 table = mark_dynamic(table, table.feature_id[bar(table)])
             before = table
-            ego, table = ego.correct(table)
+            ego, table = ego.update(table)
             yield Step(ego, before, table, seen.timestamp_ns)
             ego, table = ego.marginalize(table)
 
@@ -242,7 +242,7 @@ def filled_window(drive: Drive, n_frames: int) -> tuple[MsckfFilter, FeatureTabl
     """A filter that has cloned so many frames, and their table, of which nothing is used."""
     ego, table = drive.ego, empty_table()
     for seen in drive.frames[:n_frames]:
-        ego, table = ego.predict(seen.timestamp_ns, drive.imu), append_frame(table, seen)
+        ego, table = ego.propagate(seen.timestamp_ns, drive.imu), append_frame(table, seen)
     return ego, table
 
 
@@ -431,9 +431,9 @@ def test_clones_of_fast_frames_leave_before_the_newest(make_drive: MakeDrive) ->
     ego = replace(drive.ego, settings=settings)
     table = empty_table()
     for frame in drive.frames:
-        ego = ego.predict(frame.timestamp_ns, drive.imu)
+        ego = ego.propagate(frame.timestamp_ns, drive.imu)
         table = append_frame(table, frame)
-        ego, table = ego.correct(table)
+        ego, table = ego.update(table)
         ego, table = ego.marginalize(table)
         assert ego.window().timestamp_ns[-1] == frame.timestamp_ns
     gaps = np.diff(ego.window().timestamp_ns) * 1e-9

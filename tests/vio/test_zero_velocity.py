@@ -145,7 +145,7 @@ def drive_forward(
         movers = np.arange(100) % 20 < 9
         x = np.cumsum(speed) * 0.01
         for k, i in enumerate(range(50, len(t) - 5, round(100 / rate_hz))):
-            ego = ego.predict(int(t[i]), buffer)
+            ego = ego.propagate(int(t[i]), buffer)
             points = landmarks[:100] + movers[:, None] * np.array([0.0, 0.1 * (-1) ** k, 0.0])
             T = se3.make(R, np.array([x[i] - x[50], 0.0, 0.0]))
             table = append_frame(table, observe(rig, T, points, int(t[i]), 0.1, rng))
@@ -153,7 +153,7 @@ def drive_forward(
             table = mark_outliers(
                 table, table.feature_id, np.isin(table.feature_id, np.flatnonzero(movers))
             )
-            ego, table = ego.correct(table)
+            ego, table = ego.update(table)
             ego, table = ego.marginalize(table)
             buffer.drop_before(int(t[i]) - 1_000_000_000)
             out.append(ego)

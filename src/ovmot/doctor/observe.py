@@ -13,6 +13,7 @@ from ovmot.doctor.images import PairLook, look_at
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import ImuData, StereoFrame
 
@@ -87,7 +88,7 @@ def observe(
             for frame in events(sequence, first=first, last=last):
                 if not isinstance(frame, StereoFrame):
                     continue
-                _, tested = tracker.track(frame, T_now_before)
+                _, tested = tracker.track(frame, T_now_before, no_feedback(sequence.rig))
                 stretch.append(Seen(frame.timestamp_ns, tested.feature_id, tested.pixels))
                 if len(stretch) > 1:
                     R = turned(stretch[-2], stretch[-1], sequence.rig.cam0)

@@ -16,6 +16,9 @@ from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.settings import TrackerSettings
 
+Focus = tuple[FloatArray, FloatArray]
+"""Pixels (N, 2) around which more corners are wanted, and radii (N,) in pixels."""
+
 BORDER_PX = 3.0
 """Nothing is followed nearer than this to the picture's rim."""
 _UNLIMITED = 100_000
@@ -81,16 +84,16 @@ class CameraTracker:
         self._workers = workers
         self._ids = ids
         self._pyramid: Pyramid | None = None
-        self._focus = (np.empty((0, 2)), np.empty(0))
         self.points = no_points()
         self.patches = no_patches()
 
-    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
-        """From now on, look closer around these pixels (N, 2), within radii (N,)."""
-        self._focus = (uv, radius_px)
-
     def step(
-        self, view: View, p_before: FloatArray, p_moved: FloatArray, T_now_before: FloatArray
+        self,
+        view: View,
+        p_before: FloatArray,
+        p_moved: FloatArray,
+        T_now_before: FloatArray,
+        focus: Focus,
     ) -> CameraPoints:
         """The points of this view: those of the last one that are found again, and new corners.
 
@@ -99,7 +102,7 @@ class CameraTracker:
         `T_now_before` (4, 4): predicted motion of the camera since.
         """
         points = self._followed(view, p_before, p_moved, T_now_before)
-        self.points = self._with_corners(view, points)
+        self.points = self._with_corners(view, points, focus)
         new = cut_patches(view.smooth, self.points.uv[len(points) :])
         self.patches = self.patches.joined(new)
         self._pyramid = view.pyramid
@@ -163,9 +166,9 @@ class CameraTracker:
             )
         return out
 
-    def _with_corners(self, view: View, points: CameraPoints) -> CameraPoints:
+    def _with_corners(self, view: View, points: CameraPoints, focus: Focus) -> CameraPoints:
         """The points and as many new corners as there is room for."""
-        uv = self._new_corners(view, points.uv)
+        uv = self._new_corners(view, points.uv, focus)
         xy = view.camera.normalize(uv)
         uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
         n = len(uv)
@@ -179,12 +182,12 @@ class CameraTracker:
             inlier=np.concatenate([points.inlier, np.ones(n, dtype=np.bool_)]),
         )
 
-    def _new_corners(self, view: View, existing: FloatArray) -> FloatArray:
+    def _new_corners(self, view: View, existing: FloatArray, focus: Focus) -> FloatArray:
         """New corners (M, 2) over the image, where it has few, and where something may move."""
         settings, shape = self._settings, view.image.shape
-        focus = focus_mask(shape, *self._focus)
+        wanted = focus_mask(shape, *focus)
         corners, response = fast_corners(view.image, settings.fast_threshold, view.mask)
-        within, has = is_masked(corners, focus), is_masked(existing, focus)
+        within, has = is_masked(corners, wanted), is_masked(existing, wanted)
         cell_px = -(-shape[1] // settings.fine_columns)
         distance_px = settings.min_distance_px
         even = even_spread(settings.max_features, distance_px, settings.grid_cell_px, shape)
@@ -199,6 +202,11 @@ class CameraTracker:
             new = choose_corners(corners[chosen], response[chosen], taken, n_most, spread, shape)
             taken = np.concatenate([taken, new])
         return taken[len(existing) :]
+
+
+def no_focus() -> Focus:
+    """Nothing to look closer at."""
+    return np.empty((0, 2)), np.empty(0)
 
 
 def no_points() -> CameraPoints:

@@ -9,6 +9,7 @@ from ovmot.errors import OvmotError
 from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.two_view import two_view_inliers
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.interfaces import Feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -55,21 +56,11 @@ class GivenFeatures:
         self._epipolar = epipolar
         self._before: FrontendFrame | None = None
 
-    def calibrate(self, rig: StereoRig) -> None:
-        """From now on the rig is calibrated like this."""
-        self._rig = rig
-
-    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
-        """Given features are what they are."""
-
-    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
-        """They need no prediction."""
-
     def close(self) -> None:
         """Nothing to stop."""
 
     def track(
-        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame with accepted right halves only, and all tested pairs.
 
@@ -78,6 +69,7 @@ class GivenFeatures:
         """
         if isinstance(frame, StereoFrame):
             raise OvmotError(f"frame {frame.timestamp_ns}: images where features were expected")
+        self._rig = feedback.rig
         ids, pixels = ARRANGEMENTS[self._settings.cameras](frame.feature_id, frame.pixels)
         normalized = np.concatenate(
             [self._rig.cam0.normalize(pixels[:, :2]), self._rig.cam1.normalize(pixels[:, 2:])], 1

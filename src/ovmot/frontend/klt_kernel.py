@@ -4,8 +4,7 @@ J.-Y. Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2
 ways to stop and to refuse. OpenCV's own function takes no pyramids from Python: it builds those of
 both images at each of the many calls of a frame, and that costs more than the search.
 
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`). It holds no Python lock. tests/frontend/test_klt_kernel.py holds it against
+It holds no Python lock. tests/frontend/test_klt_kernel.py holds it against
 OpenCV.
 
 Windows are kept as rows of `side + 3` pixels in one line of numbers: a loop over all of them runs

@@ -5,12 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.camera_tracker import CameraPoints, CameraTracker, FeatureIds
+from ovmot.frontend.camera_tracker import CameraPoints, CameraTracker, FeatureIds, no_focus
 from ovmot.frontend.epipolar import no_matches
 from ovmot.frontend.stereo_tracker import views
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.interfaces import Feedback
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -31,35 +32,26 @@ class MonocularTracker:
         self._followers = {side: CameraTracker(settings, self._workers, ids) for side in sides}
         self._positions = {side: np.empty((0, 3)) for side in sides}
 
-    def calibrate(self, rig: StereoRig) -> None:
-        """From now on the rig is calibrated like this."""
-        self._rig = rig
-
-    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
-        """Without stereo nothing is known to move: there is nothing to look at closer."""
-
-    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
-        """Without stereo nothing is known to move."""
-
     def close(self) -> None:
         """Stop the worker threads."""
         self._workers.shutdown()
 
     def track(
-        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame, those of the left camera first, and no stereo match.
 
         `T_now_before` (4, 4): predicted motion of the left camera since the last frame. Raises
         `OvmotError` for a frame without images.
         """
+        self._rig = feedback.rig
         of_both = views(frame, self._rig, self._settings, self._workers)
         points = {}
         for side, follower in self._followers.items():
             T = _motion_of(side, T_now_before, self._rig)
             before = follower.points
             at_rest = self._positions[side]
-            points[side] = follower.step(of_both[side], at_rest, at_rest, T)
+            points[side] = follower.step(of_both[side], at_rest, at_rest, T, no_focus())
             self._positions[side] = _positions(before, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()
 

@@ -1,7 +1,6 @@
 """The compiled alignment of patches, point by point.
 
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`). It holds no Python lock. tests/frontend/test_patch_kernel.py holds its plain NumPy
+It holds no Python lock. tests/frontend/test_patch_kernel.py holds its plain NumPy
 twin.
 """
 

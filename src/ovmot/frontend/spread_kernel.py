@@ -1,8 +1,4 @@
-"""The compiled choice of corners that keep apart.
-
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`).
-"""
+"""The compiled choice of corners that keep apart."""
 
 from pathlib import Path
 

@@ -13,8 +13,10 @@ from ovmot.frontend.epipolar import gate_matches, without_refused
 from ovmot.frontend.flow import build_pyramid, follow, recover_lost
 from ovmot.frontend.patches import align, smoothed
 from ovmot.frontend.prediction import fill_depths, predict_right
-from ovmot.geometry.arrays import FloatArray, Image, IntArray
+from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.geometry.id_sets import positions
 from ovmot.geometry.triangulation import triangulate_stereo
+from ovmot.interfaces import Feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -38,26 +40,13 @@ class StereoTracker:
         self._left = CameraTracker(settings, self._workers, FeatureIds())
         self._pairs = np.empty((0, 4))  # plane coordinates of the last frame
         self._last_ns = 0
-        self._moving = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
-
-    def calibrate(self, rig: StereoRig) -> None:
-        """From now on the rig is calibrated like this."""
-        self._rig = rig
-
-    def focus(self, uv: FloatArray, radius_px: FloatArray) -> None:
-        """From now on, look closer around these left pixels (N, 2), within radii (N,)."""
-        self._left.focus(uv, radius_px)
-
-    def expect(self, feature_id: IntArray, velocity: FloatArray) -> None:
-        """These features (N,) move, with velocities (N, 3) in m/s in the left camera's axes."""
-        self._moving = (feature_id, velocity)
 
     def close(self) -> None:
         """Stop the worker threads."""
         self._workers.shutdown()
 
     def track(
-        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame, and every stereo match tested.
 
@@ -65,10 +54,12 @@ class StereoTracker:
         points of the earlier camera frame into the present one. Raises `OvmotError` for a frame
         without images.
         """
+        self._rig = feedback.rig
         left, right = views(frame, self._rig, self._settings, self._workers)
         p_before = triangulate_stereo(self._pairs, self._rig.T_cam1_cam0)
-        p_moved = p_before + self._moved(1e-9 * (frame.timestamp_ns - self._last_ns))
-        points = self._left.step(left, p_before, p_moved, T_now_before)
+        p_moved = p_before + self._moved(feedback, 1e-9 * (frame.timestamp_ns - self._last_ns))
+        focus = (feedback.focus_uv, feedback.focus_radius_px)
+        points = self._left.step(left, p_before, p_moved, T_now_before, focus)
         self._last_ns = frame.timestamp_ns
         pixels, self._pairs, matches = self._match_right(left, right, points)
         seen = FrontendFrame(
@@ -81,15 +72,13 @@ class StereoTracker:
         )
         return seen, matches
 
-    def _moved(self, dt_s: float) -> FloatArray:
+    def _moved(self, feedback: Feedback, dt_s: float) -> FloatArray:
         """How far (N, 3) the last points went by themselves, in the camera's axes of then."""
         moved = np.zeros((len(self._left.points), 3))
-        ids, velocity = self._moving
+        ids, velocity = feedback.moving_id, feedback.moving_velocity
         if len(ids):
-            order = np.argsort(ids)
-            found = np.isin(self._left.points.feature_id, ids)
-            index = np.searchsorted(ids, self._left.points.feature_id[found], sorter=order)
-            moved[found] = velocity[order[index]] * dt_s
+            at = positions(self._left.points.feature_id, ids)
+            moved[at >= 0] = velocity[at[at >= 0]] * dt_s
         return moved
 
     def _match_right(

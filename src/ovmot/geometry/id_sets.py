@@ -24,3 +24,12 @@ def union(a: IntArray, ids: IntArray) -> IntArray:
 def without(a: IntArray, ids: IntArray) -> IntArray:
     """The set `a` without ids (N,)."""
     return a[~contained(a, np.sort(ids))] if len(ids) else a
+
+
+def positions(ids: IntArray, among: IntArray) -> IntArray:
+    """Where each id (N,) stands in an array of different ids (n,) in any order; -1 for none."""
+    if len(among) == 0:
+        return np.full(len(ids), -1, dtype=np.int64)
+    order = np.argsort(among)
+    at = order[np.minimum(np.searchsorted(among, ids, sorter=order), len(among) - 1)]
+    return np.where(among[at] == ids, at, -1)

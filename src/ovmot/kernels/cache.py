@@ -1,7 +1,8 @@
 """Compiled machine code kept on disk, so that only the first run on a machine compiles.
 
 numba by itself writes beside the sources, or where an environment variable of the process tells.
-Here the folder is the user's own, and its name is a hash of the source: other text, other folder.
+Here the folder is the user's own, and its name is a hash of the kernel's source and of all that it
+calls: other text, other folder (numba's own check looks at the kernel's file alone).
 numba adds its version and the processor to the key and writes each file in one move, so that
 several processes may share the folder.
 """
@@ -10,6 +11,7 @@ import contextlib
 import hashlib
 import os
 import pickle
+import re
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +21,7 @@ import numba
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _KEY_LENGTH = 16
+_PACKAGE = Path(__file__).parents[1]
 
 
 def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
@@ -43,7 +46,7 @@ def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
 
 
 def part(function: _F) -> _F:
-    """A function that kernels of the same file call; it is kept with them."""
+    """A function that kernels call, of their own file or of another one; it is kept with them."""
     return _njit(function, cache=False, reorder=False)
 
 
@@ -85,16 +88,40 @@ def code_folder(source: Path) -> Path | None:
     """The folder of the user's cache for the code compiled from this file; None if not writable.
 
     `$XDG_CACHE_HOME/ovmot` or `~/.cache/ovmot` (XDG Base Directory Specification; a relative path
-    in the variable counts as unset).
+    in the variable counts as unset). Its name holds a hash of all source texts that are compiled
+    into the code: see `compiled_sources`.
     """
     try:
-        told = Path(os.environ.get("XDG_CACHE_HOME", ""))
-        base = told if told.is_absolute() else Path.home() / ".cache"
-        texts = source.read_bytes() + Path(__file__).read_bytes()  # the options stand here
-        key = hashlib.sha256(texts).hexdigest()[:_KEY_LENGTH]
-        folder = base / "ovmot" / f"{source.stem}-{key}"
+        given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        base = given if given.is_absolute() else Path.home() / ".cache"
+        key = hashlib.sha256()
+        for part_of_it in compiled_sources(source):
+            key.update(part_of_it.read_bytes())
+        folder = base / "ovmot" / f"{source.stem}-{key.hexdigest()[:_KEY_LENGTH]}"
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except (OSError, RuntimeError):  # no such right, no disk space, no home
         return None
+
+
+def compiled_sources(source: Path) -> tuple[Path, ...]:
+    """The files whose text a kernel's machine code depends on, in a fixed order.
+
+    The kernel's own file, those of the compiled functions that it imports (files of this folder and
+    other kernels, also through each other), and this one, which holds the compiler's options.
+    """
+    found = {Path(__file__)}
+    waiting = [source]
+    while waiting:
+        file = waiting.pop()
+        if file not in found:
+            found.add(file)
+            waiting += _imported_kernels(file)
+    return tuple(sorted(found))
+
+
+def _imported_kernels(file: Path) -> list[Path]:
+    names = re.findall(r"^from ovmot\.([\w.]+) import", file.read_text(encoding="utf-8"), re.M)
+    kernels = [n for n in names if n.startswith("kernels.") or n.endswith("_kernel")]
+    return [_PACKAGE.joinpath(*name.split(".")).with_suffix(".py") for name in kernels]

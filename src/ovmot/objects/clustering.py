@@ -77,6 +77,7 @@ def motion_history(
     window: PoseWindow,
     rig: StereoRig,
     settings: ObjectSettings,
+    pixel_sigma: float,
 ) -> MotionHistory | None:
     """What the table knows of the points that may move; None where they are too few.
 
@@ -85,7 +86,7 @@ def motion_history(
     """
     rows = _rows(table, window, settings.look_back_s)
     history = _history(table, points, window, rows)
-    sigma = normalized_sigma(rig, settings.pixel_sigma)
+    sigma = normalized_sigma(rig, pixel_sigma)
     T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
     T_now_then = carrying(history, window, rig)
     off_rest = displace_compiled(history.then, points.p_cam0, T_now_then, T_cam1_cam0, sigma)
@@ -104,7 +105,7 @@ def motion_history(
         history,
         window,
         rig,
-        settings.pixel_sigma,
+        pixel_sigma,
         PatchDrift(settings.drift_per_frame_px, settings.drift_per_flow),
     )
     velocity, covariance, steady = _fit(comparison)
@@ -178,8 +179,7 @@ def _history(
     table: FeatureTable, points: ScenePoints, window: PoseWindow, rows: IntArray
 ) -> StereoHistory:
     """All points of the frame in these rows and now."""
-    order = np.argsort(table.feature_id)
-    column = order[np.searchsorted(table.feature_id, points.feature_id, sorter=order)]
+    column = table.columns(points.feature_id)
     return StereoHistory(
         then=table.normalized[rows].take(column, axis=1),
         now=table.normalized[-1, column],

@@ -1,8 +1,4 @@
-"""The compiled search for connected components.
-
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`).
-"""
+"""The compiled search for connected components."""
 
 from pathlib import Path
 

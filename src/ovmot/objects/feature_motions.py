@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.id_sets import positions
 from ovmot.geometry.triangulation import inverse_3x3, squared_distance
 from ovmot.types import ScenePoints
 
@@ -81,13 +82,11 @@ class Sightings:
     def add(self, timestamp_ns: int, seen: ScenePoints, T_world_cam0: FloatArray) -> FeatureMotions:
         """Take a frame in, let those go that are too old, and say how its features moved."""
         first = int(np.searchsorted(self._stamps, timestamp_ns - round(1e9 * _MEMORY_S)))
-        order = np.argsort(self._feature_id)
-        column = np.searchsorted(self._feature_id, seen.feature_id, sorter=order)
-        column = order[np.minimum(column, len(order) - 1)] if len(order) else column
+        column = positions(seen.feature_id, self._feature_id)
         T, n = len(self._stamps) - first, len(column)
         p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
-        if len(order):
-            new = self._feature_id[column] != seen.feature_id
+        if len(self._feature_id):
+            new = column < 0
             self._p_world[first:].take(column, axis=1, out=p_world[:T])
             self._covariance[first:].take(column, axis=1, out=covariance[:T])
             p_world[:T, new] = np.nan

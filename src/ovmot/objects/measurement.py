@@ -74,6 +74,7 @@ def measure_objects(
     window: PoseWindow,
     rig: StereoRig,
     settings: ObjectSettings,
+    pixel_sigma: float,
     rng: np.random.Generator,
 ) -> tuple[ObjectMeasurement, ...]:
     """The moving bodies of the newest frame, those with most points first.
@@ -81,7 +82,7 @@ def measure_objects(
     `table` holds that frame as its last row, `points` its split, `window` the corrected poses.
     """
     # 1 what each point did over the last frames
-    history = motion_history(table, points, window, rig, settings)
+    history = motion_history(table, points, window, rig, settings, pixel_sigma)
     if history is None:
         return ()
     # 2 neighbours that move alike
@@ -96,7 +97,9 @@ def measure_objects(
     views, twist, row = _views_of(history, found, window, rig, settings)
     index = np.concatenate([group.index for group in found])
     may_turn = _shows_turns(history, index, views.body)
-    refined = refine_bodies(views, twist, history.p_cam0[index], may_turn, rig, settings)
+    refined = refine_bodies(
+        views, twist, history.p_cam0[index], may_turn, rig, settings, pixel_sigma
+    )
     # 5 what is left of each: enough points, moving, and not a part of another
     members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found))]
     enough = [k for k, own in enumerate(members) if len(own) >= settings.min_points]

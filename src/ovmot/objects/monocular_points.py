@@ -12,7 +12,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.id_sets import contained
+from ovmot.geometry.id_sets import contained, positions
 from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.track import Track, TrackState
 from ovmot.types import ScenePoints
@@ -66,8 +66,6 @@ def _goes_across(track: Track, T_world_cam0: FloatArray) -> bool:
 def _last_places(before: FeatureMotions, feature_id: IntArray) -> FloatArray:
     """Where features (K,) were in the world (K, 3); NaN where not known."""
     places = np.full((len(feature_id), 3), np.nan)
-    order = np.argsort(before.feature_id)
-    ids = before.feature_id[order]
-    known = contained(feature_id, ids)
-    places[known] = before.p_world[order[np.searchsorted(ids, feature_id[known])]]
+    at = positions(feature_id, before.feature_id)
+    places[at >= 0] = before.p_world[at[at >= 0]]
     return places

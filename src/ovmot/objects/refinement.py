@@ -58,7 +58,7 @@ class RefinedBodies:
 
     `point_cov` (M, 3, 3): of the points for given twists; `by_twist` (M, 3, 6): how they follow it.
     `misfit` (B,), up to 1: the variance of the noise as the points show it, as a share of what was
-    told.
+    settings.
     """
 
     twist: FloatArray
@@ -76,7 +76,8 @@ def refine_bodies(
     p_cam0: FloatArray,
     may_turn: BoolArray,
     rig: StereoRig,
-    told: ObjectSettings,
+    settings: ObjectSettings,
+    pixel_sigma: float,
 ) -> RefinedBodies:
     """Levenberg-damped Gauss-Newton from `twist` (B, 6) and stereo points `p_cam0` (M, 3) of now.
 
@@ -86,9 +87,9 @@ def refine_bodies(
     """
     n_bodies = len(views.origin)
     prior = np.zeros((n_bodies, 6))
-    prior[:, :3] = told.tilt_rate_sigma_rps**-2.0
-    prior[may_turn, 2] = told.yaw_rate_sigma_rps**-2.0
-    sightings, valid = sightings_of(views, rig, told)
+    prior[:, :3] = settings.tilt_rate_sigma_rps**-2.0
+    prior[may_turn, 2] = settings.yaw_rate_sigma_rps**-2.0
+    sightings, valid = sightings_of(views, rig, settings, pixel_sigma)
     dof = 4 * valid.sum(0) - 3
     huber = np.sqrt(chdtri(dof, _HUBER_SHARE))
     bound = chdtri(dof, _OUTLIER_SHARE)
@@ -131,7 +132,7 @@ def refine_bodies(
 
 
 def sightings_of(
-    views: BodyViews, rig: StereoRig, told: ObjectSettings
+    views: BodyViews, rig: StereoRig, settings: ObjectSettings, pixel_sigma: float
 ) -> tuple[Sightings, BoolArray]:
     """The views with their noise, as the kernel takes them, and which of them (V, M) exist.
 
@@ -143,14 +144,14 @@ def sightings_of(
     focal = np.array([f0[0], f0[1], f1[0], f1[1]])
     valid = np.asarray(np.isfinite(views.seen).all(-1), np.bool_)
     flow = np.linalg.norm((views.seen - views.seen[-1])[..., :2] * focal[:2], axis=-1)
-    drift = views.track_length[:, views.body] * told.drift_per_frame_px**2
-    drift = drift + (told.drift_per_flow * np.nan_to_num(flow)) ** 2
+    drift = views.track_length[:, views.body] * settings.drift_per_frame_px**2
+    drift = drift + (settings.drift_per_flow * np.nan_to_num(flow)) ** 2
     half = np.sqrt(0.5)
     into_view, out_of_now = views.about_origin
     sightings = Sightings(
         seen=np.ascontiguousarray(views.seen),
-        by_difference=np.where(valid, half / told.pixel_sigma, 0.0),
-        by_sum=np.where(valid, half / np.sqrt(told.pixel_sigma**2 + 2.0 * drift), 0.0),
+        by_difference=np.where(valid, half / pixel_sigma, 0.0),
+        by_sum=np.where(valid, half / np.sqrt(pixel_sigma**2 + 2.0 * drift), 0.0),
         body=views.body,
         span_s=np.ascontiguousarray(views.span_s),
         into_view=into_view,

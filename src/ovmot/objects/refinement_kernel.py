@@ -1,7 +1,6 @@
 """The compiled normal equations of the refinement, points eliminated.
 
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`). tests/objects/test_refinement_kernel.py holds its plain NumPy twin.
+tests/objects/test_refinement_kernel.py holds its plain NumPy twin.
 """
 
 import math
@@ -12,8 +11,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-
-Vector = tuple[float, float, float]
+from ovmot.kernels.small_matrices import cross, invert_symmetric
 
 
 class Sightings(NamedTuple):
@@ -79,7 +77,7 @@ def reduce_points(
         for v in range(n_views):
             if s.by_sum[v, n] > 0.0:
                 view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, rows)
-                add_products(rows, s.span_s[v, b] > 0.0, products)
+                add_row_products(rows, s.span_s[v, b] > 0.0, products)
         eliminate(products, n, out)
         out.inlier[n] = out.left[n] < bound[n]
         if out.inlier[n]:
@@ -89,7 +87,7 @@ def reduce_points(
 
 
 @part
-def add_products(rows: FloatArray, moving: bool, products: FloatArray) -> None:
+def add_row_products(rows: FloatArray, moving: bool, products: FloatArray) -> None:
     """Add rowsᵀ rows (10, 10), the upper triangle; the twist's part only where there is one."""
     for i in range(4):
         for a in range(10):
@@ -101,7 +99,7 @@ def add_products(rows: FloatArray, moving: bool, products: FloatArray) -> None:
 @part
 def eliminate(products: FloatArray, n: int, out: Reduced) -> None:
     """Point n at its best for the given twist, from products of point (3), twist (6), residual."""
-    invert(products, out.N_inverse[n])
+    invert_symmetric(products, out.N_inverse[n])
     left = products[9, 9]
     for a in range(3):
         out.shift[n, a] = 0.0
@@ -121,13 +119,13 @@ def add_reduced(products: FloatArray, n: int, b: int, out: Reduced) -> None:
     """Add what point n tells of the twist of body b (the Schur complement), by its weight."""
     for a in range(6):
         for c in range(7):  # the last one is the gradient
-            told = products[3 + a, 3 + c] if a <= c else products[3 + c, 3 + a]
+            term = products[3 + a, 3 + c] if a <= c else products[3 + c, 3 + a]
             for d in range(3):
-                told -= out.K[n, a, d] * products[d, 3 + c]
+                term -= out.K[n, a, d] * products[d, 3 + c]
             if c < 6:
-                out.information[b, a, c] += out.weight[n] * told
+                out.information[b, a, c] += out.weight[n] * term
             else:
-                out.gradient[b, a] += out.weight[n] * told
+                out.gradient[b, a] += out.weight[n] * term
 
 
 @part
@@ -218,24 +216,6 @@ def view_rows(
             left, right = left * f[i], right * f[2 + i]
             rows[i, c] = (left - right) * minus
             rows[2 + i, c] = (left + right) * plus
-
-
-@part
-def cross(a: Vector, b: Vector) -> Vector:
-    """a x b of vectors (3,)."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@part
-def invert(N: FloatArray, out: FloatArray) -> None:
-    """Inverse (3, 3) of a symmetric matrix, given by its upper triangle, by cofactors."""
-    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * A + b * B + c * C
-    out[0, 0], out[1, 1], out[2, 2] = A / det, (a * f - c * c) / det, (a * d - b * b) / det
-    out[0, 1] = out[1, 0] = B / det
-    out[0, 2] = out[2, 0] = C / det
-    out[1, 2] = out[2, 1] = (b * c - a * e) / det
 
 
 reduce_points_compiled = compiled(reduce_points, code_folder(Path(__file__)))

@@ -1,7 +1,6 @@
 """The compiled search for the rigid motion that most points share.
 
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`). tests/objects/test_rigid_kernel.py holds its plain NumPy twin.
+tests/objects/test_rigid_kernel.py holds its plain NumPy twin.
 """
 
 import math

@@ -199,6 +199,17 @@ class TracksTable:
         self._file.close()
 
 
+TIMING_COLUMNS = {
+    "initialize": "start",
+    "propagate": "predict",
+    "track": "match",
+    "segment": "split",
+    "update": "correct",
+    "marginalize": "forget",
+}
+"""Stages whose column in `timing.csv` keeps its name of version 0.1."""
+
+
 class TimingTable:
     """`timing.csv`: milliseconds of each stage, each frame.
 
@@ -224,7 +235,8 @@ class TimingTable:
         self._file.close()
 
     def _start(self, stages: Sequence[str]) -> None:
-        self._file.append(",".join(("timestamp_ns", *stages, "other")) + "\n")
+        columns = (TIMING_COLUMNS.get(stage, stage) for stage in stages)
+        self._file.append(",".join(("timestamp_ns", *columns, "other")) + "\n")
         self._stages = tuple(stages)
 
 

@@ -102,7 +102,7 @@ class Session:
 
     def close(self) -> None:
         """End the pipeline's threads."""
-        self._pipeline.close()
+        self._pipeline.finish()
 
     def latency_ms(self, percent: float) -> float | None:
         """Percentile of the time from a pair's arrival to its odometry, None without a frame."""
@@ -126,7 +126,7 @@ class Session:
         self._say(f"{why}: starting again, in a new segment")
         self.counts["restarts"] += 1
         self._first = self._free
-        self._pipeline.close()
+        self._pipeline.finish()
         self._pipeline = self._make_pipeline()
         self._trails = Trails()
         self._newest_ns = None
@@ -134,7 +134,7 @@ class Session:
 
     def _results(self, event: Event) -> Iterator[FrameResult]:
         """What the pipeline makes of an event, with segments and ids of their own."""
-        for result in self._pipeline.feed(event):
+        for result in self._pipeline.add(event):
             stamp = result.timestamp_ns
             if not np.all(np.isfinite(result.ego.T_world_imu)):
                 raise OvmotError(f"the pose at {stamp} ns is not finite")

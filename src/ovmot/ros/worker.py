@@ -5,13 +5,11 @@ import time
 from collections.abc import Callable, Mapping
 
 from ovmot.cameras.calibration import Calibration
-from ovmot.initialization.initializer import FilterInitializer
 from ovmot.odometry import Odometry
 from ovmot.ros.inputs import InputTopic
 from ovmot.ros.intake import Intake
 from ovmot.ros.session import Session, Sink
 from ovmot.ros.watch import Sight, Watch
-from ovmot.run import noise_in_use
 from ovmot.settings import Settings
 
 
@@ -27,11 +25,10 @@ class Worker:
         say: Callable[[str], None],
     ) -> None:
         rig, live = calibration.rig, settings.live
-        noise = noise_in_use(calibration.imu_noise, settings)
         self.intake = Intake(live, rig.time_offset_s)
         self._session = Session(
             self.intake,
-            lambda: Odometry(rig, settings, FilterInitializer(rig, noise, settings)),
+            lambda: Odometry(rig, calibration.imu_noise, settings),
             rig,
             live,
             sink,

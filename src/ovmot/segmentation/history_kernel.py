@@ -1,7 +1,6 @@
 """The compiled comparison of stereo points then and now, point by point.
 
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`). tests/objects/test_comparison_kernel.py holds its plain NumPy twin.
+tests/segmentation/test_history_kernel.py holds its plain NumPy twin.
 """
 
 import math
@@ -11,6 +10,8 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.small_matrices import add_products, invert_symmetric, whiten, whiten_with
+from ovmot.kernels.stereo import project, secant, stereo_covariance, transform, triangulate
 
 _LEAST_DEPTH = 0.1  # metres, of a carried point
 
@@ -53,7 +54,7 @@ def compare_points(
             if not triangulate(then[row, n], T_cam1_cam0, p_then):
                 continue
             T, p = T_now_then[row], predicted[row, n]
-            carry(T, p_then, p)
+            transform(T, p_then, p)
             if not p[2] > _LEAST_DEPTH:
                 p[0] = p[1] = p[2] = np.nan
                 continue
@@ -102,7 +103,7 @@ def fit_velocities(
         for a in range(3):
             for b in range(3):
                 information[a, b] = products[a, b] + (1e-6 if a == b else 0.0)
-        invert(information, covariance[n])
+        invert_symmetric(information, covariance[n])
         cost[n] = products[3, 3]
         for a in range(3):
             velocity[n, a] = 0.0
@@ -160,81 +161,12 @@ def displace(
             continue
         for row in range(n_rows):
             if triangulate(then[row, n], T_cam1_cam0, p):
-                carry(T_now_then[row], p, q)
+                transform(T_now_then[row], p, q)
                 stereo_covariance(p_now[n], T_cam1_cam0, sigma, C)
                 for a in range(3):
                     off[n] += (q[a] - p_now[n, a]) ** 2 / (2.0 * C[a, a])
                 break
     return off
-
-
-@part
-def triangulate(uv: FloatArray, T: FloatArray, p: FloatArray) -> bool:
-    """As `geometry.triangulation.triangulate_stereo` for one pair (4,); is there a point?"""
-    x = T[0, 0] * uv[0] + T[0, 1] * uv[1] + T[0, 2]
-    y = T[1, 0] * uv[0] + T[1, 1] * uv[1] + T[1, 2]
-    z = T[2, 0] * uv[0] + T[2, 1] * uv[1] + T[2, 2]
-    a0, a1 = x - uv[2] * z, y - uv[3] * z
-    b0, b1 = uv[2] * T[2, 3] - T[0, 3], uv[3] * T[2, 3] - T[1, 3]
-    depth = (a0 * b0 + a1 * b1) / (a0 * a0 + a1 * a1)
-    p[0], p[1], p[2] = uv[0] * depth, uv[1] * depth, depth
-    return bool(0.0 < depth < 1e4 and depth * z + T[2, 3] > 0.0)
-
-
-@part
-def carry(T: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """T p."""
-    for a in range(3):
-        out[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
-
-
-@part
-def project(p: FloatArray, T: FloatArray, h: FloatArray, J: FloatArray) -> None:
-    """As `geometry.triangulation.project_stereo`: both views h (4,) and derivative J (4, 3)."""
-    q = np.empty(3)
-    carry(T, p, q)
-    for i in range(2):
-        h[i], h[2 + i] = p[i] / p[2], q[i] / q[2]
-        for k in range(3):
-            J[i, k] = 1.0 / p[2] if i == k else 0.0
-            J[2 + i, k] = (T[i, k] - h[2 + i] * T[2, k]) / q[2]
-        J[i, 2] = -h[i] / p[2]
-
-
-@part
-def secant(p_from: FloatArray, p_to: FloatArray, T: FloatArray, D: FloatArray) -> None:
-    """D (4, 3) with h(p_to) - h(p_from) = D (p_to - p_from) for both views h, exactly.
-
-    In one view, with x = X/Z: x' - x = ((X' - X) - x (Z' - Z)) / Z'.
-    """
-    start, end = np.empty(3), np.empty(3)
-    carry(T, p_from, start)
-    carry(T, p_to, end)
-    for i in range(2):
-        for k in range(3):
-            D[i, k] = 1.0 / p_to[2] if i == k else 0.0
-            D[2 + i, k] = (T[i, k] - start[i] / start[2] * T[2, k]) / end[2]
-        D[i, 2] = -p_from[i] / p_from[2] / p_to[2]
-
-
-@part
-def stereo_covariance(p: FloatArray, T: FloatArray, sigma: FloatArray, C: FloatArray) -> None:
-    """As `geometry.triangulation.stereo_covariance`, of one point (3,): C (3, 3)."""
-    ray, G = (p[0] / p[2], p[1] / p[2], 1.0), np.empty((3, 4))
-    h, J = np.empty(4), np.empty((4, 3))
-    project(p, T, h, J)
-    along0 = J[2, 0] * ray[0] + J[2, 1] * ray[1] + J[2, 2]
-    along1 = J[3, 0] * ray[0] + J[3, 1] * ray[1] + J[3, 2]
-    square = along0 * along0 + along1 * along1
-    right = (along0 / square, along1 / square)
-    for a in range(3):
-        for k in range(2):
-            left = right[0] * J[2, k] + right[1] * J[3, k]
-            G[a, k] = p[2] * ((1.0 if a == k else 0.0) - ray[a] * left) * sigma[k]
-            G[a, 2 + k] = ray[a] * right[k] * sigma[2 + k]
-    for a in range(3):
-        for b in range(3):
-            C[a, b] = G[a, 0] * G[b, 0] + G[a, 1] * G[b, 1] + G[a, 2] * G[b, 2] + G[a, 3] * G[b, 3]
 
 
 @part
@@ -283,49 +215,6 @@ def widen(S: FloatArray, J: FloatArray, slack: float, out: FloatArray) -> None:
             out[i, j] = S[i, j]
             for k in range(3):
                 out[i, j] += slack * J[i, k] * J[j, k]
-
-
-@part
-def add_products(rows: FloatArray, out: FloatArray) -> None:
-    """Add rowsᵀ rows (k, k) of rows (4, k)."""
-    for a in range(rows.shape[1]):
-        for b in range(rows.shape[1]):
-            for i in range(4):
-                out[a, b] += rows[i, a] * rows[i, b]
-
-
-@part
-def whiten(L: FloatArray, rows: FloatArray) -> None:
-    """Put the Cholesky factor L of S in its place (4, 4), and L⁻¹ rows in the place of rows."""
-    for i in range(4):
-        for j in range(i + 1):
-            total = L[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            L[i, j] = math.sqrt(total) if i == j else total / L[j, j]
-    whiten_with(L, rows)
-
-
-@part
-def whiten_with(L: FloatArray, rows: FloatArray) -> None:
-    """L⁻¹ rows (4, k) in the place of rows."""
-    for c in range(rows.shape[1]):
-        for i in range(4):
-            for k in range(i):
-                rows[i, c] -= L[i, k] * rows[k, c]
-            rows[i, c] /= L[i, i]
-
-
-@part
-def invert(N: FloatArray, out: FloatArray) -> None:
-    """Inverse (3, 3) of a symmetric matrix by cofactors."""
-    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * A + b * B + c * C
-    out[0, 0], out[1, 1], out[2, 2] = A / det, (a * f - c * c) / det, (a * d - b * b) / det
-    out[0, 1] = out[1, 0] = B / det
-    out[0, 2] = out[2, 0] = C / det
-    out[1, 2] = out[2, 1] = (b * c - a * e) / det
 
 
 _FOLDER = code_folder(Path(__file__))

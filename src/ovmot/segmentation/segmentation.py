@@ -58,7 +58,7 @@ def segment_points(
         near = np.flatnonzero(points.p_cam0[:, 2] < settings.max_range_m)
     if not settings.enabled or len(rows) == 0 or len(near) == 0:
         return Segmentation(points, ~seen.two_view_inlier, trusted)
-    column = _columns_of(table, seen.feature_id[near])
+    column = table.columns(seen.feature_id[near])
     history = StereoHistory(
         then=table.normalized[rows][:, column],
         now=seen.normalized[near],
@@ -148,11 +148,6 @@ def _look_back_rows(
         if 0.5 * span < age[near] < 1.5 * span:
             wanted.add(int(rows[near]))
     return np.array(sorted(wanted), dtype=np.int64)
-
-
-def _columns_of(table: FeatureTable, feature_id: IntArray) -> IntArray:
-    order = np.argsort(table.feature_id)
-    return order[np.searchsorted(table.feature_id, feature_id, sorter=order)]
 
 
 def _within_range(comparison: Comparison, max_range: float) -> Comparison:

@@ -55,7 +55,7 @@ class MsckfFilter:
         """The IMU time that must be reached before this frame can be predicted."""
         return self.imu_time_ns(frame_ns)
 
-    def predict(self, frame_ns: int, imu: ImuBuffer) -> "MsckfFilter":
+    def propagate(self, frame_ns: int, imu: ImuBuffer) -> "MsckfFilter":
         """Propagate to the frame and clone its pose; `imu` must reach its time."""
         end_ns = self.imu_time_ns(frame_ns)
         state, rate = self._carried(end_ns, imu)
@@ -78,7 +78,7 @@ class MsckfFilter:
         )
         return propagation.propagate(self.state, result, end_ns), result.angular_velocity
 
-    def correct(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
+    def update(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
         """Zero velocity when standing, then the visual update."""
         state, still = self.state, self.settings.zero_velocity
         standing = (

@@ -37,13 +37,13 @@ class GivenPoses:
         """No IMU is needed."""
         return None
 
-    def predict(self, frame_ns: int, imu: ImuBuffer) -> "GivenPoses":
+    def propagate(self, frame_ns: int, imu: ImuBuffer) -> "GivenPoses":
         """The window with this frame's pose; raises `DatasetError` where none is given."""
         if frame_ns not in self.pose_ns:
             raise DatasetError(f"no pose is given for the frame at {frame_ns} ns")
         return replace(self, window_ns=(*self.window_ns, frame_ns))
 
-    def correct(self, table: FeatureTable) -> tuple["GivenPoses", FeatureTable]:
+    def update(self, table: FeatureTable) -> tuple["GivenPoses", FeatureTable]:
         """Nothing to correct: the poses are given."""
         return self, table
 

@@ -122,8 +122,7 @@ def _update_with_slam_features(
     state = drop_landmarks(state, gone)
     if not len(state.landmarks):
         return state, table
-    order = np.argsort(table.feature_id)
-    column = order[np.searchsorted(table.feature_id, state.landmarks.feature_id, sorter=order)]
+    column = table.columns(state.landmarks.feature_id)
     pixels = table.pixels[-1, column]
     pixels[table.outlier[column]] = np.nan
     state = update_slam_features(

@@ -1,0 +1,61 @@
+"""Compiled algebra of fixed small size: 3x3 and 4x4 matrices, vectors of three.
+
+Called by kernels only; arrays are filled in place. `tests/kernels/test_small_matrices.py` holds the
+plain NumPy twins.
+"""
+
+import math
+
+from ovmot.geometry.arrays import FloatArray
+from ovmot.kernels.cache import part
+
+Vector = tuple[float, float, float]
+
+
+@part
+def cross(a: Vector, b: Vector) -> Vector:
+    """Cross product a x b of vectors (3,)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@part
+def invert_symmetric(N: FloatArray, out: FloatArray) -> None:
+    """Inverse (3, 3) of a symmetric matrix, given by its upper triangle, by cofactors."""
+    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * A + b * B + c * C
+    out[0, 0], out[1, 1], out[2, 2] = A / det, (a * f - c * c) / det, (a * d - b * b) / det
+    out[0, 1] = out[1, 0] = B / det
+    out[0, 2] = out[2, 0] = C / det
+    out[1, 2] = out[2, 1] = (b * c - a * e) / det
+
+
+@part
+def add_products(rows: FloatArray, out: FloatArray) -> None:
+    """Add rowsᵀ rows (k, k) of rows (4, k)."""
+    for a in range(rows.shape[1]):
+        for b in range(rows.shape[1]):
+            for i in range(4):
+                out[a, b] += rows[i, a] * rows[i, b]
+
+
+@part
+def whiten(S: FloatArray, rows: FloatArray) -> None:
+    """Replace S (4, 4) by its Cholesky factor L, and rows (4, k) by L⁻¹ rows."""
+    for i in range(4):
+        for j in range(i + 1):
+            total = S[i, j]
+            for k in range(j):
+                total -= S[i, k] * S[j, k]
+            S[i, j] = math.sqrt(total) if i == j else total / S[j, j]
+    whiten_with(S, rows)
+
+
+@part
+def whiten_with(L: FloatArray, rows: FloatArray) -> None:
+    """Replace rows (4, k) by L⁻¹ rows, L (4, 4) lower triangular."""
+    for c in range(rows.shape[1]):
+        for i in range(4):
+            for k in range(i):
+                rows[i, c] -= L[i, k] * rows[k, c]
+            rows[i, c] /= L[i, i]
