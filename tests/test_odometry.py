@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.interfaces import Feedback
+from ovmot.objects import moving_objects
+from ovmot.objects.tracker import ObjectTracker
 from ovmot.odometry import STAGES, Odometry, camera_motion
 from ovmot.segmentation.segmentation import Segmentation, segment_points
 from ovmot.settings import ObjectSettings, Settings
@@ -132,7 +135,7 @@ def test_the_filter_starts_at_rest_and_follows_the_motion(driven: list[FrameResu
     static = last.points.label == int(PointLabel.STATIC)
     assert static.sum() > 30
     assert not (last.points.label == int(PointLabel.DYNAMIC)).any()
-    assert set(last.milliseconds) == set(STAGES) - {"start"}
+    assert set(last.milliseconds) == set(STAGES) - {"initialize"}
 
 
 def assert_same(a: Sequence[FrameResult], b: Sequence[FrameResult]) -> None:
@@ -248,15 +251,19 @@ def test_without_objects_nothing_is_grouped_and_nowhere_is_looked_closer(
     def never(*_: object) -> None:
         raise AssertionError("called without objects")
 
-    monkeypatch.setattr(odometry_module, "measure_objects", never)
-    monkeypatch.setattr(odometry_module, "ObjectTracker", never)
+    monkeypatch.setattr(moving_objects, "measure_objects", never)
+    monkeypatch.setattr(ObjectTracker, "step", never)
     frames = frames_of(painted_pair, 8, body_mps=1.5)
     off = SETTINGS.model_copy(update={"objects": ObjectSettings(enabled=False)})
     odometry = with_poses(painted_rig, frames, off)
     looked: list[FloatArray] = []
-    monkeypatch.setattr(
-        StereoTracker, "focus", lambda _, uv, radius_px: looked.extend([uv, radius_px])
-    )
+    true_track = StereoTracker.track
+
+    def track(tracker: StereoTracker, frame: StereoFrame, T: FloatArray, feedback: Feedback) -> Any:
+        looked.extend([feedback.focus_uv, feedback.focus_radius_px])
+        return true_track(tracker, frame, T, feedback)
+
+    monkeypatch.setattr(StereoTracker, "track", track)
     results = run(odometry, frames)
     assert (results[-1].points.label == int(PointLabel.DYNAMIC)).any()
     assert all(result.tracks == () for result in results)

@@ -14,7 +14,6 @@ from ovmot.feature_table import (
     mark_outliers,
 )
 from ovmot.frontend.epipolar import match_sigma
-from ovmot.frontend.focus import focus_areas
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
@@ -90,7 +89,6 @@ class Odometry:
             rig, settings.tracker, settings.epipolar
         )
         self._rig = rig
-        self._focus_width_m = settings.tracker.focus_width_m
         self._objects = MovingObjects(rig, settings)
         self._imu = ImuBuffer()
         self._source: OdometrySource | None = None
@@ -157,23 +155,20 @@ class Odometry:
         # 5 objects: cluster, rigid motions, tracks, by the updated motion
         with watch.stage("objects"):
             objects = self._objects.step(
-                table, segmentation.points, source.window(), source.calibrated_rig(),
+                table, segmentation, source.window(), source.calibrated_rig(),
                 self._noise_in_use(pixel_sigma),
             )  # fmt: skip
         # 6 marginalize: the oldest clone, or the newest one when stationary
         with watch.stage("marginalize"):
             self._source, self._table = source.marginalize(table)
             self._imu.drop_before(self._source.imu_time_ns(frame.timestamp_ns) - IMU_KEPT_NS)
-        uv, radius = focus_areas(
-            objects.points, segmentation.outlier, self._rig.cam0, self._focus_width_m
-        )
         self._feedback = Feedback(
             rig=self._source.calibrated_rig(),
             pixel_sigma=pixel_sigma,
             moving_id=objects.moving_id,
             moving_velocity=objects.moving_velocity,
-            focus_uv=uv,
-            focus_radius_px=radius,
+            focus_uv=objects.focus_uv,
+            focus_radius_px=objects.focus_radius_px,
             held_id=objects.held_id,
         )
         result = FrameResult(

@@ -220,9 +220,7 @@ def test_a_rig_displaced_diagonally_is_matched(painted_rig: StereoRig, painted_p
     right[:112] = np.roll(flat.right, -5, axis=0)[:112]  # 200 · 0.2 / 8 px for the upper wall
     right[112:] = np.roll(flat.right, -8, axis=0)[112:]  # 200 · 0.2 / 5 px for the lower one
     with tracker_of(rig) as tracker:
-        seen, matches = tracker.track(
-            StereoFrame(0, flat.left, right), np.eye(4), no_feedback(painted_rig)
-        )
+        seen, matches = tracker.track(StereoFrame(0, flat.left, right), np.eye(4), no_feedback(rig))
     slope = matches.line[:, 0] / matches.line[:, 1]
     np.testing.assert_allclose(np.abs(slope), 2.0 / 3.0, atol=1e-9)
     u, v = seen.pixels[:, 0], seen.pixels[:, 1]

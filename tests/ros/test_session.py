@@ -62,7 +62,7 @@ class Odometry:
     def latest(self) -> Any:
         return self.result.ego
 
-    def close(self) -> None:
+    def finish(self) -> None:
         self.closed = True
 
 

@@ -6,10 +6,12 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable
+from ovmot.frontend.focus import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.tracker import ObjectTracker
+from ovmot.segmentation.segmentation import Segmentation
 from ovmot.settings import Settings
 from ovmot.types import ObjectTrack, PoseWindow, ScenePoints
 
@@ -19,7 +21,8 @@ class ObjectsResult:
     """The tracks of a frame and its points with their tracks' ids.
 
     `held_id` (K,): features that the odometry source should leave alone. `moving_id` (M,): features
-    that should go on with a track, `moving_velocity` (M, 3) in m/s in the left camera's axes.
+    that should go on with a track, `moving_velocity` (M, 3) in m/s in the left camera's axes. More
+    features are wanted around left pixels `focus_uv` (N, 2), within `focus_radius_px` (N,).
     """
 
     tracks: tuple[ObjectTrack, ...]
@@ -27,6 +30,8 @@ class ObjectsResult:
     held_id: IntArray
     moving_id: IntArray
     moving_velocity: FloatArray
+    focus_uv: FloatArray
+    focus_radius_px: FloatArray
 
 
 class MovingObjects:
@@ -34,32 +39,38 @@ class MovingObjects:
 
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
+        self._focus_width_m = settings.tracker.focus_width_m
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
     def step(
         self,
         table: FeatureTable,
-        points: ScenePoints,
+        segmentation: Segmentation,
         window: PoseWindow,
         rig: StereoRig,
         pixel_sigma: float,
     ) -> ObjectsResult:
-        """The objects of the newest frame, whose points are segmented as `points`.
+        """The objects of the newest frame, by its segmented points.
 
         `table` holds that frame as its last row, `window` the updated poses, `rig` the calibration
         as estimated now; `pixel_sigma`: standard deviation of the pixels of a stereo match.
         """
         if not self._settings.enabled:
             none = np.empty(0, dtype=np.int64)
-            return ObjectsResult((), points, none, none, np.empty((0, 3)))
+            return ObjectsResult(
+                (), segmentation.points, none, none, np.empty((0, 3)), np.empty((0, 2)), np.empty(0)
+            )
         tracker, now_ns = self._tracker, int(table.frame_ns[-1])
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
-        points = tracker.owned(points)
+        points = tracker.owned(segmentation.points)
         measurements = measure_objects(
             table, points, window, rig, self._settings, pixel_sigma, self._rng
         )
         tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0)
         held = excluded_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.expected(points)
-        return ObjectsResult(tracks, points, held, moving, velocity @ T_world_cam0[:3, :3])
+        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0, self._focus_width_m)
+        return ObjectsResult(
+            tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px
+        )
