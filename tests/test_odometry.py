@@ -53,7 +53,8 @@ SETTINGS = Settings.model_validate(
             "gravity_mps2": 9.81,
         },
         "initialization": {"window_s": 0.5},
-        "split": {"test": "covariance", "candidates": "tracked", "pixel_sigma": 0.3},
+        "segmentation": {"test": "covariance", "candidates": "tracked"},
+        "noise": {"pixel_sigma": 0.3},
     }
 )  # fmt: skip
 

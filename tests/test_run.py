@@ -33,7 +33,7 @@ SETTINGS = Settings.model_validate(
             "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
         },
         "initialization": {"window_s": 0.5},
-        "split": {"pixel_sigma": 0.3},
+        "noise": {"pixel_sigma": 0.3},
     }
 )  # fmt: skip
 START_NS = 1_403_636_580_000_000_000

@@ -25,3 +25,7 @@ class CalibrationError(InputError):
 
 class DatasetError(InputError):
     """A recorded sequence that cannot be read, or not any further."""
+
+
+class SettingsWarning(UserWarning):
+    """A setting is accepted, but not under this name any more."""

@@ -20,8 +20,10 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.initialization.initializer import FilterInitializer
 from ovmot.interfaces import Feedback, FrontEnd, Initializer, OdometrySource, no_feedback
 from ovmot.objects.moving_objects import MovingObjects
+from ovmot.physics import PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
 from ovmot.segmentation.segmentation import Segmentation, segment_points
+from ovmot.segmentation.stereo_history import StereoHistory, stereo_history
 from ovmot.settings import ImuSettings, Settings
 from ovmot.types import (
     EgoEstimate,
@@ -32,6 +34,7 @@ from ovmot.types import (
     Health,
     ImuNoise,
     ImuSample,
+    PixelNoise,
     PointLabel,
     PoseWindow,
     StereoFrame,
@@ -148,16 +151,17 @@ class Odometry:
             pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
         # 3 segment: what the predicted motion does not explain leaves the filter for good
         with watch.stage("segment"):
-            table, segmentation = self._segment(append_frame(self._table, seen), seen, source)
+            table, history, segmentation = self._segment(
+                append_frame(self._table, seen), seen, source, self._noise_in_use(pixel_sigma)
+            )
         # 4 update: zero velocity, SLAM features in view, ended MSCKF features
         with watch.stage("update"):
             source, table = source.update(table)
         # 5 objects: cluster, rigid motions, tracks, by the updated motion
         with watch.stage("objects"):
             objects = self._objects.step(
-                table, segmentation, source.window(), source.calibrated_rig(),
-                self._noise_in_use(pixel_sigma),
-            )  # fmt: skip
+                history, seen.timestamp_ns, segmentation, source.window(), source.calibrated_rig()
+            )
         # 6 marginalize: the oldest clone, or the newest one when stationary
         with watch.stage("marginalize"):
             self._source, self._table = source.marginalize(table)
@@ -188,11 +192,13 @@ class Odometry:
         """Is there an odometry source that runs?"""
         return self._source is not None
 
-    def _noise_in_use(self, measured: float) -> float:
-        """Standard deviation of the pixels of a stereo match, for the objects."""
-        prior = self._settings.objects
-        known = prior.noise != "told" and np.isfinite(measured)
-        return measured if known else prior.pixel_sigma
+    def _noise_in_use(self, measured: float) -> PixelNoise:
+        """The features' noise: as the settings give it, else as measured, else as is usual."""
+        noise = self._settings.noise
+        known = PIXEL_SIGMA if np.isnan(measured) else measured
+        return PixelNoise(
+            noise.pixel_sigma or known, noise.drift_per_frame_px, noise.drift_per_flow
+        )
 
     def latest(self) -> EgoEstimate | None:
         """The state propagated to the newest IMU sample; None before initialization."""
@@ -235,25 +241,34 @@ class Odometry:
         self, source: OdometrySource, table: FeatureTable
     ) -> tuple[OdometrySource, FeatureTable, Segmentation]:
         """A source just initialized, its table and the segmentation, at the newest frame."""
-        newest = self._before_start[-1]
+        newest, noise = self._before_start[-1], self._noise_in_use(self._feedback.pixel_sigma)
         if newest.timestamp_ns in table.frame_ns:  # the initializer has used them all
-            table, segmentation = self._segment(table, newest, source)
+            table, _, segmentation = self._segment(table, newest, source, noise)
             source, table = source.marginalize(table)
         else:
             for seen in self._before_start:
                 source = source.propagate(seen.timestamp_ns, self._imu)
-                table, segmentation = self._segment(append_frame(table, seen), seen, source)
+                table, _, segmentation = self._segment(
+                    append_frame(table, seen), seen, source, noise
+                )
                 source, table = source.update(table)
                 source, table = source.marginalize(table)
         self._before_start.clear()
         return source, table, segmentation
 
     def _segment(
-        self, table: FeatureTable, seen: FrontendFrame, source: OdometrySource
-    ) -> tuple[FeatureTable, Segmentation]:
-        """The segmentation, and the table with dynamic features and outliers marked."""
-        rig = source.calibrated_rig()
-        segmentation = segment_points(table, seen, source.window(), rig, self._settings.split)
+        self, table: FeatureTable, seen: FrontendFrame, source: OdometrySource, noise: PixelNoise
+    ) -> tuple[FeatureTable, StereoHistory, Segmentation]:
+        """The frame's history and segmentation; the table with dynamic features and outliers."""
+        rig, window, settings = (
+            source.calibrated_rig(),
+            source.window(),
+            self._settings.segmentation,
+        )
+        history = stereo_history(
+            table, seen.feature_id, window.timestamp_ns, rig, settings.look_back_s, noise
+        )
+        segmentation = segment_points(table, history, seen, window, rig, settings)
         points = segmentation.points
         if segmentation.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)
@@ -261,7 +276,7 @@ class Odometry:
         else:
             self.counts["frames_split_unsure"] += 1
         outlier = segmentation.outlier | np.isin(points.feature_id, self._feedback.held_id)
-        return mark_outliers(table, points.feature_id, outlier), segmentation
+        return mark_outliers(table, points.feature_id, outlier), history, segmentation
 
     def _watch_health(self, ego: EgoEstimate) -> None:
         """Count what is not well; where the motion is lost, initialize again at the last pose."""

@@ -86,6 +86,24 @@ class ImuData:
 
 
 @dataclass(frozen=True, slots=True)
+class PixelNoise:
+    """Noise of tracked features in the image, standard deviations.
+
+    `sigma_px`: white noise of each pixel coordinate of a stereo pair. A tracked patch drifts on its
+    surface: `drift_per_frame_px` from one frame to the next, as a random walk, and further
+    `drift_per_flow` of its way through the image, as its view changes.
+    """
+
+    sigma_px: float
+    drift_per_frame_px: float
+    drift_per_flow: float
+
+    def drift_sigma_px(self, n_frames: IntArray) -> FloatArray:
+        """Standard deviation (L,) of the drift over numbers of frames (L,), pixels."""
+        return np.asarray(self.drift_per_frame_px * np.sqrt(n_frames))
+
+
+@dataclass(frozen=True, slots=True)
 class FrontendFrame:
     """What the front end saw in one stereo frame: N features, tracked ones and new ones.
 

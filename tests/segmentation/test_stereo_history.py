@@ -8,11 +8,13 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.segmentation.stereo_history import Comparison, PatchDrift, StereoHistory, compare
-from ovmot.types import PoseWindow
+from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
+from ovmot.segmentation.stereo_history import StereoHistory, history_of
+from ovmot.types import PixelNoise, PoseWindow
 
 SIGMA_PX = 0.4
-NO_SLIDE = PatchDrift(0.0, 0.0)
+NOISE = PixelNoise(SIGMA_PX, 0.0, 0.0)
+PERFECT = PixelNoise(0.0, 0.0, 0.0)
 Make = Callable[..., FloatArray]
 Window = Callable[..., PoseWindow]
 
@@ -23,18 +25,29 @@ def perturbed(T_world_imu: FloatArray, delta: FloatArray) -> FloatArray:
     return se3.make(T_world_imu[:, :3, :3] @ so3.exp(d[:, :3]), T_world_imu[:, :3, 3] + d[:, 3:])
 
 
-def mahalanobis(comparison: Comparison) -> FloatArray:
+def mahalanobis(comparison: StaticComparison) -> FloatArray:
     """Squared distances (L, N) of the residuals."""
     W = np.linalg.inv(comparison.S)
     r = comparison.residual
     return np.asarray(np.einsum("lni,lnij,lnj->ln", r, W, r))
 
 
-def history_of(normalized: FloatArray) -> StereoHistory:
-    """All earlier rows of (K, N, 4) against the last."""
+def seen_from(
+    rig: StereoRig, window: PoseWindow, normalized: FloatArray, noise: PixelNoise = NOISE
+) -> StereoHistory:
+    """All earlier frames of (K, N, 4) against the last, one a pose of the window."""
     k = len(normalized) - 1
-    span_s = np.linspace(0.1 * k, 0.1, k)
-    return StereoHistory(normalized[:-1], normalized[-1], np.arange(k), span_s)
+    row = np.arange(k)
+    return history_of(
+        normalized[:-1], normalized[-1], np.arange(normalized.shape[1]), row,
+        window.timestamp_ns[:-1], np.asarray(0.1 * (k - row), np.float64), k - row, rig, noise,
+    )  # fmt: skip
+
+
+def compared(
+    rig: StereoRig, window: PoseWindow, normalized: FloatArray, noise: PixelNoise = NOISE
+) -> StaticComparison:
+    return compare_with_static(seen_from(rig, window, normalized, noise), window, rig)
 
 
 @pytest.fixture
@@ -50,9 +63,7 @@ def test_exact_points_are_predicted_exactly(
 ) -> None:
     T, rng = drive(6), np.random.default_rng(0)
     p = in_view(rig, T, 30, (5.0, 40.0), rng)
-    comparison = compare(
-        history_of(measure(rig, T, p, 0.0, rng)), window_of(T), rig, SIGMA_PX, NO_SLIDE
-    )
+    comparison = compared(rig, window_of(T), measure(rig, T, p, 0.0, rng))
     now = se3.apply(se3.inverse(T[-1] @ rig.T_imu_cam0), p)
     np.testing.assert_allclose(comparison.predicted, np.broadcast_to(now, (5, 30, 3)), atol=1e-8)
     assert np.abs(comparison.residual).max() < 1e-9
@@ -71,12 +82,13 @@ def test_the_covariance_is_that_of_the_residuals(
         m = measure(rig, T, p, SIGMA_PX, rng)
         T_estimated = perturbed(T, rng.multivariate_normal(np.zeros(36), pose_covariance))
         window = window_of(T_estimated, pose_covariance)
-        drawn.append(mahalanobis(compare(history_of(m), window, rig, SIGMA_PX, NO_SLIDE)))
+        drawn.append(mahalanobis(compared(rig, window, m)))
     per_row = np.mean(drawn, axis=(0, 2))
     np.testing.assert_allclose(per_row, 4.0, atol=0.4)  # poses are common to a draw's points
     without = [
-        mahalanobis(compare(history_of(m), window_of(T_estimated, 0.0 * pose_covariance), rig,
-                            SIGMA_PX, NO_SLIDE)).mean()
+        mahalanobis(
+            compared(rig, window_of(T_estimated, 0.0 * pose_covariance), m)
+        ).mean()
     ]  # fmt: skip
     assert without[0] > 6.0  # the poses' errors matter here
 
@@ -88,9 +100,7 @@ def test_pixels_alone_give_four_for_every_depth(
     window = window_of(T, np.zeros((36, 36)))
     for depth in ((5.0, 8.0), (15.0, 20.0), (25.0, 30.0)):
         p = in_view(rig, T, 4000, depth, rng)
-        comparison = compare(
-            history_of(measure(rig, T, p, SIGMA_PX, rng)), window, rig, SIGMA_PX, NO_SLIDE
-        )
+        comparison = compared(rig, window, measure(rig, T, p, SIGMA_PX, rng))
         np.testing.assert_allclose(mahalanobis(comparison).mean(1), 4.0, atol=0.25)
 
 
@@ -101,13 +111,13 @@ def test_the_ego_motion_s_part_by_finite_differences(
     """With perfect pixels S = J (∂p/∂δ) P (∂p/∂δ)ᵀ Jᵀ over the errors of all six poses."""
     T, rng = drive(6), np.random.default_rng(3)
     p = in_view(rig, T, 7, (5.0, 30.0), rng)
-    history = history_of(measure(rig, T, p, 0.0, rng))
+    history = seen_from(rig, window_of(T), measure(rig, T, p, 0.0, rng), PERFECT)
 
     def predicted(delta: FloatArray) -> FloatArray:
-        return compare(history, window_of(perturbed(T, delta)), rig, 0.0, NO_SLIDE).predicted
+        return compare_with_static(history, window_of(perturbed(T, delta)), rig).predicted
 
     D = central_differences(predicted, np.zeros(36), 1e-5)  # (5, 7, 3, 36)
-    comparison = compare(history, window_of(T, pose_covariance), rig, 0.0, NO_SLIDE)
+    comparison = compare_with_static(history, window_of(T, pose_covariance), rig)
     JD = comparison.J @ D
     expected = JD @ pose_covariance @ np.swapaxes(JD, -1, -2)
     np.testing.assert_allclose(comparison.S, expected, rtol=1e-5, atol=1e-5 * expected.max())
@@ -122,9 +132,7 @@ def test_j_is_the_derivative_of_the_prediction(
     R_cam_world = (T[-1] @ rig.T_imu_cam0)[:3, :3].T
     d_cam = np.array([1e-4, -2e-4, 3e-4])
     moved = np.stack([p, p, p + d_cam @ R_cam_world])
-    comparison = compare(
-        history_of(measure(rig, T, moved, 0.0, rng)), window_of(T), rig, SIGMA_PX, NO_SLIDE
-    )
+    comparison = compared(rig, window_of(T), measure(rig, T, moved, 0.0, rng))
     np.testing.assert_allclose(comparison.residual, comparison.J @ d_cam, rtol=2e-3, atol=1e-9)
 
 
@@ -133,17 +141,19 @@ def test_drift_widens_with_the_way_through_the_image(
 ) -> None:
     T, rng = drive(3), np.random.default_rng(5)
     p = in_view(rig, T, 10, (6.0, 20.0), rng)
-    history = history_of(measure(rig, T, p, 0.0, rng))
-    plain = compare(history, window_of(T), rig, SIGMA_PX, NO_SLIDE).S
-    wider = compare(history, window_of(T), rig, SIGMA_PX, PatchDrift(0.0, 0.05)).S
-    flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
+    m = measure(rig, T, p, 0.0, rng)
+
+    def S_of(per_frame_px: float, per_flow: float) -> FloatArray:
+        return compared(rig, window_of(T), m, PixelNoise(SIGMA_PX, per_frame_px, per_flow)).S
+
+    plain = S_of(0.0, 0.0)
+    flow = np.linalg.norm(m[-1, :, :2] - m[:-1, :, :2], axis=-1)
     expected = (0.05 * flow[..., None, None]) ** 2 * np.eye(4)
-    np.testing.assert_allclose(wider - plain, expected, atol=1e-12)
-    always = compare(history, window_of(T), rig, SIGMA_PX, PatchDrift(0.3, 0.0)).S
+    np.testing.assert_allclose(S_of(0.0, 0.05) - plain, expected, atol=1e-12)
+    # a random walk: two frames back, twice the variance of one
+    walk = np.array([2.0, 1.0])[:, None, None, None] * (0.3 / rig.cam0.fx) ** 2 * np.eye(4)
     np.testing.assert_allclose(
-        always - plain,
-        np.broadcast_to((0.3 / rig.cam0.fx) ** 2 * np.eye(4), plain.shape),
-        atol=1e-12,
+        S_of(0.3, 0.0) - plain, np.broadcast_to(walk, plain.shape), atol=1e-12
     )
 
 
@@ -154,9 +164,10 @@ def test_a_frame_that_shares_the_newest_pose_has_no_ego_error(
     T, rng = drive(6), np.random.default_rng(6)
     p = in_view(rig, T, 5, (6.0, 20.0), rng)
     m = measure(rig, T[[-1, -1]], p, 0.0, rng)
-    shared = StereoHistory(m[:1], m[1], np.array([5]), np.array([0.1]))
-    with_ego = compare(shared, window_of(T, pose_covariance), rig, SIGMA_PX, NO_SLIDE)
-    without = compare(shared, window_of(T, 0.0 * pose_covariance), rig, SIGMA_PX, NO_SLIDE)
+    newest_ns, one = window_of(T).timestamp_ns[-1:], np.array([1])
+    shared = history_of(m[:1], m[1], np.arange(5), one, newest_ns, 0.1 * one, one, rig, NOISE)
+    with_ego = compare_with_static(shared, window_of(T, pose_covariance), rig)
+    without = compare_with_static(shared, window_of(T, 0.0 * pose_covariance), rig)
     np.testing.assert_allclose(with_ego.S, without.S, rtol=1e-9, atol=1e-15)
 
 
@@ -168,7 +179,7 @@ def test_what_was_not_seen_in_stereo_is_not_tested(
     m[0, 0, 2:] = np.nan  # mono then
     m[:, 1] = np.nan  # never
     m[-1, 2, 2:] = np.nan  # mono now
-    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, NO_SLIDE)
+    comparison = compared(rig, window_of(T), m)
     assert comparison.tested[:, 0].tolist() == [False, True, True]
     assert not comparison.tested[:, 1:3].any()
     assert comparison.tested[:, 3:].all()
@@ -180,7 +191,7 @@ def test_a_point_that_the_camera_passed_is_not_tested(
     T, rng = drive(2, speed=60.0), np.random.default_rng(7)  # 6 m between the frames
     p = se3.apply(T[0] @ rig.T_imu_cam0, np.array([[0.5, 0.0, 4.0], [0.5, 0.0, 40.0]]))
     m = measure(rig, T, p, 0.0, rng)
-    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, NO_SLIDE)
+    comparison = compared(rig, window_of(T), m)
     assert comparison.tested[0].tolist() == [False, True]
 
 
@@ -192,10 +203,8 @@ def test_the_secant_reaches_any_distance_exactly(
     p = in_view(rig, T, 20, (8.0, 20.0), rng)
     T_cam_world = se3.inverse(T[-1] @ rig.T_imu_cam0)
     step = rng.uniform(-4.0, 8.0, (20, 3)) * [1.0, 0.2, 0.2]
-    comparison = compare(
-        history_of(measure(rig, T, np.stack([p, p + step]), 0.0, rng)),
-        window_of(T), rig, SIGMA_PX, NO_SLIDE,
-    )  # fmt: skip
+    m = measure(rig, T, np.stack([p, p + step]), 0.0, rng)
+    comparison = compared(rig, window_of(T), m)
     step_cam = se3.apply(T_cam_world, p + step) - comparison.predicted[0]
     reached = (comparison.J_motion[0] @ step_cam[:, :, None])[..., 0]
     np.testing.assert_allclose(reached, comparison.residual[0], atol=1e-9)

@@ -6,7 +6,7 @@ sequences:
   walk:    {features: ../data/udel_gore.txt}
 settings:
   default: {}
-  no_split: {split.enabled: false}
+  no_segmentation: {segmentation.enabled: false}
 seeds: 10
 """
 
@@ -18,7 +18,7 @@ from pydantic import Discriminator, Field, Tag, ValidationError, field_validator
 
 from ovmot.errors import InputError
 from ovmot.settings import Section, Settings
-from ovmot.settings_file import SETTINGS_REMEDY, plain_messages, read_yaml_mapping
+from ovmot.settings_file import SETTINGS_REMEDY, accept_old_keys, plain_messages, read_yaml_mapping
 from ovmot.sim.miscalibration import CalibrationError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -142,7 +142,7 @@ class Plan(Section):
 
     def settings_of(self, name: str) -> Settings:
         """The settings of that name, whole."""
-        return Settings.model_validate(nested(self.settings[name]))
+        return Settings.model_validate(accept_old_keys(nested(self.settings[name])))
 
 
 def read_plan(path: Path) -> Plan:

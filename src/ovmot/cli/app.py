@@ -3,6 +3,7 @@
 import io
 import signal
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from ovmot.cli.console import (
     progress,
     say,
     say_if_first_use,
+    say_warning,
     show,
     stages,
 )
@@ -69,6 +71,7 @@ def main() -> None:
     A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    warnings.showwarning = say_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # the names of files need not be text
