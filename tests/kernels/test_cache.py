@@ -9,7 +9,8 @@ from pathlib import Path
 import numba
 import pytest
 
-from ovmot.kernels.cache import code_folder, compiled, is_first_use
+import ovmot
+from ovmot.kernels.cache import code_folder, compiled, compiled_sources, is_first_use
 
 SCRIPT = """
 import sys
@@ -133,3 +134,11 @@ def test_the_first_use_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not is_first_use(package)
     source.write_text(KERNEL.format("i * i"))  # another version
     assert is_first_use(package)
+
+
+def test_the_key_covers_what_a_kernel_calls() -> None:
+    source = Path(ovmot.__file__).parent / "segmentation/history_kernel.py"
+    names = {path.name for path in compiled_sources(source)}
+    assert names == {"history_kernel.py", "cache.py", "small_matrices.py", "stereo.py"}
+    alone = Path(ovmot.__file__).parent / "objects/components_kernel.py"
+    assert {path.name for path in compiled_sources(alone)} == {"components_kernel.py", "cache.py"}

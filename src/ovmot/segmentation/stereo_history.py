@@ -129,10 +129,10 @@ def look_back_rows(
     rows = np.flatnonzero(posed)
     if len(rows) == 0:
         return rows
-    age_s = (table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9
-    wanted = np.array(look_back_s)
-    apart = np.abs(age_s[None] - wanted[:, None])
-    near = apart.min(1) < _TOLERANCE * wanted
+    age_ns = table.frame_ns[-1] - table.frame_ns[rows]
+    wanted_ns = np.round(1e9 * np.array(look_back_s)).astype(np.int64)
+    apart = np.abs(age_ns[None] - wanted_ns[:, None])  # integers: rounding decides no tie
+    near = apart.min(1) < _TOLERANCE * wanted_ns
     return np.unique(np.append(rows[apart.argmin(1)[near]], rows[-1]))
 
 
