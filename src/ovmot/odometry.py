@@ -17,6 +17,7 @@ from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.initialization.frame_buffer import FrameBuffer
 from ovmot.initialization.initializer import FilterInitializer
 from ovmot.interfaces import Feedback, FrontEnd, Initializer, OdometrySource, no_feedback
 from ovmot.objects.moving_objects import MovingObjects
@@ -39,7 +40,7 @@ from ovmot.types import (
     PoseWindow,
     StereoFrame,
 )
-from ovmot.vio.imu_buffer import ImuBuffer, integrated_rotation
+from ovmot.vio.imu_buffer import ImuBuffer
 
 IMU_KEPT_NS = 1_000_000_000
 """IMU samples kept behind the newest frame, on the IMU's clock."""
@@ -98,7 +99,7 @@ class Odometry:
         self._table = empty_table()
         self._feedback = no_feedback(rig)
         self._waiting: deque[StereoFrame | FeatureFrame] = deque()
-        self._before_start: deque[FrontendFrame] = deque()
+        self._before_start = FrameBuffer(self._initializer, settings.initialization)
         self._last_frame_ns: int | None = None
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
@@ -213,12 +214,12 @@ class Odometry:
         """Track by the gyroscope's rotation and look for an initial state; on success go through
         the frames up to this one."""
         with watch.stage("track"):
-            rotation = self._rotation_before_start(frame)
+            rotation = self._before_start.rotation_until(frame.timestamp_ns, self._imu, self._rig)
             seen, matches = self._frontend.track(frame, rotation, self._feedback)
-        self._before_start.append(seen)
-        self._drop_old_frames()
+        self._before_start.append(seen, self._imu)
+        self._imu.drop_before(self._before_start.imu_needed_from_ns - IMU_KEPT_NS)
         with watch.stage("initialize"):
-            started = self._initializer(tuple(self._before_start), self._imu)
+            started = self._initializer(self._before_start.frames, self._imu)
             if isinstance(started, str):
                 self.not_started_because = started
                 self.counts["frames_before_start"] += 1
@@ -241,12 +242,13 @@ class Odometry:
         self, source: OdometrySource, table: FeatureTable
     ) -> tuple[OdometrySource, FeatureTable, Segmentation]:
         """A source just initialized, its table and the segmentation, at the newest frame."""
-        newest, noise = self._before_start[-1], self._noise_in_use(self._feedback.pixel_sigma)
+        frames = self._before_start.frames
+        newest, noise = frames[-1], self._noise_in_use(self._feedback.pixel_sigma)
         if newest.timestamp_ns in table.frame_ns:  # the initializer has used them all
             table, _, segmentation = self._segment(table, newest, source, noise)
             source, table = source.marginalize(table)
         else:
-            for seen in self._before_start:
+            for seen in frames:
                 source = source.propagate(seen.timestamp_ns, self._imu)
                 table, _, segmentation = self._segment(
                     append_frame(table, seen), seen, source, noise
@@ -287,39 +289,6 @@ class Odometry:
             self._resume_at = ego.T_world_imu
             self._source, self._table = None, empty_table()
             self._before_start.clear()
-
-    def _drop_old_frames(self) -> None:
-        """Keep the frames that the initializer looks at, none older than the IMU, and their IMU."""
-        initialization = self._settings.initialization
-        span_ns = round(1.2e9 * initialization.motion_window_s)
-        frames, first_ns = self._before_start, self._imu.first_ns
-        newest = frames[-1].timestamp_ns
-        while len(frames) > 1 and (
-            newest - frames[0].timestamp_ns > span_ns
-            or (
-                first_ns is not None
-                and self._initializer.imu_time_ns(frames[0].timestamp_ns) < first_ns
-            )
-        ):
-            frames.popleft()
-        oldest_ns = self._initializer.imu_time_ns(frames[0].timestamp_ns)
-        self._imu.drop_before(oldest_ns - round(1e9 * initialization.window_s) - IMU_KEPT_NS)
-
-    def _rotation_before_start(self, frame: StereoFrame | FeatureFrame) -> FloatArray:
-        """Left camera's rotation since the last frame by the gyroscope alone, as T_now_before."""
-        T = np.eye(4)
-        if not self._before_start:
-            return T
-        try:
-            samples = self._imu.between(
-                self._initializer.imu_time_ns(self._before_start[-1].timestamp_ns),
-                self._initializer.imu_time_ns(frame.timestamp_ns),
-            )
-        except DatasetError:
-            return T  # no IMU there: start at the old positions
-        R_cam_imu = self._rig.T_imu_cam0[:3, :3].T
-        T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
-        return T
 
     def _step_or_say(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
         """A step whose numerical failure (a matrix not positive, a NaN) names the frame."""
