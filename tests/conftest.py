@@ -22,6 +22,18 @@ from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.types import StereoFrame
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first, and one worker has all tests of a compiled kernel.
+
+    So each kernel is compiled once and not by every worker (`--dist loadgroup`).
+    """
+    for item in items:
+        if item.path.stem.endswith("_kernel"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a command left behind."""

@@ -8,7 +8,7 @@ import pytest
 
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.sim.render import camera_rays, render_picture
 from ovmot.sim.rides import CAMERA_HEIGHT_M
 from ovmot.sim.scene_file import SCENES, SceneFile, load_scene
@@ -18,43 +18,61 @@ from ovmot.sim.simulation import Simulation
 SMALL = (160, 70)
 
 
-def corners(center: FloatArray, yaw: float, size: FloatArray) -> FloatArray:
-    """Four corners (4, 2) of a body's rectangle on the ground."""
+def corners(center: FloatArray, yaw: FloatArray, size: FloatArray) -> FloatArray:
+    """Four corners (..., 4, 2) of a body's rectangle on the ground, of centres (..., 2) or more."""
     c, s = np.cos(yaw), np.sin(yaw)
     half = 0.5 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size[:2]
-    return np.asarray(center[:2] + half @ np.array([[c, s], [-s, c]]))
+    R = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+    return np.asarray(center[..., None, :2] + half @ R)
 
 
-def apart(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two convex outlines (4, 2) have a line between them that is a side of one."""
-    if np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) > 10.0:  # no mover is longer than 8 m
-        return True
+def apart(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Whether two convex outlines (..., 4, 2) have a line between them that is a side of one."""
+    middle = a.mean(axis=-2) - b.mean(axis=-2)
+    clear = np.linalg.norm(middle, axis=-1) > 10.0  # no mover is longer than 8 m
     for p, q in ((a, b), (b, a)):
         for i in range(4):
-            side = p[(i + 1) % 4] - p[i]
-            outward = np.array([-side[1], side[0]])
-            if ((q - p[i]) @ outward).min() > 0.0:
-                return True
-    return False
+            side = p[..., (i + 1) % 4, :] - p[..., i, :]
+            outward = np.stack([-side[..., 1], side[..., 0]], axis=-1)
+            beyond = ((q - p[..., i : i + 1, :]) @ outward[..., None])[..., 0]
+            clear |= beyond.min(axis=-1) > 0.0
+    return np.asarray(clear)
 
 
-def outlines(simulation: Simulation, time_ns: int) -> dict[str, FloatArray]:
-    T = simulation.path.pose(time_ns) @ se3.inverse(simulation.T_vehicle_imu)
-    rig_yaw = float(np.arctan2(T[1, 0], T[0, 0]))
-    found = {"rig": corners(T[:3, 3], rig_yaw, np.array([4.6, 1.9]))}
+def outlines(simulation: Simulation, time_ns: IntArray) -> dict[str, FloatArray]:
+    """Corners (N, 4, 2) of the rig and of every mover at N times."""
+
+    def at(T: FloatArray, size: FloatArray) -> FloatArray:
+        return corners(T[:, :3, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0]), size)
+
+    T_world_vehicle = simulation.path.pose(time_ns) @ se3.inverse(simulation.T_vehicle_imu)
+    found = {"rig": at(T_world_vehicle, np.array([4.6, 1.9]))}
     for mover in simulation.scene.movers:
-        state = mover.state(time_ns)
-        found[f"{mover.category} {mover.object_id}"] = corners(state.center, state.yaw, state.size)
+        found[f"{mover.category} {mover.object_id}"] = at(mover.path.pose(time_ns), mover.size)
     return found
 
 
 def test_outlines_are_told_apart() -> None:
-    square = corners(np.zeros(2), 0.0, np.array([2.0, 2.0]))
+    square = corners(np.zeros(2), np.array(0.0), np.array([2.0, 2.0]))
     assert apart(square, square + np.array([2.1, 0.0]))
     assert not apart(square, square + np.array([1.9, 1.9]))
-    turned = corners(np.array([2.3, 0.0]), 0.25 * np.pi, np.array([2.0, 2.0]))
+    turned = corners(np.array([2.3, 0.0]), np.array(0.25 * np.pi), np.array([2.0, 2.0]))
     assert not apart(square, turned)
     assert apart(square, turned + np.array([0.2, 0.0]))
+    many = np.stack([square + np.array([2.1, 0.0]), square, turned])
+    assert apart(np.stack([square] * 3), many).tolist() == [True, False, False]
+
+
+def test_outlines_are_where_the_movers_say_that_they_are() -> None:
+    simulation = make_simulation(load_scene("traffic"), seed=0)
+    time_ns = ORIGIN_NS + 1_000_000_000 * np.arange(3)
+    found = outlines(simulation, time_ns)
+    for mover in simulation.scene.movers:
+        for k, stamp in enumerate(time_ns.tolist()):
+            state = mover.state(stamp)
+            expected = corners(state.center, np.array(state.yaw), state.size)
+            outline = found[f"{mover.category} {mover.object_id}"][k]
+            np.testing.assert_allclose(outline, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -63,9 +81,10 @@ def test_nothing_ever_touches(name: str, seed: int) -> None:
     scene = load_scene(name)
     simulation = make_simulation(scene, seed=seed)
     assert len(simulation.scene.movers) == len(scene.along) + len(scene.across)
-    for time_ns in ORIGIN_NS + 200_000_000 * np.arange(int(5 * scene.duration_s)):
-        for (a, outline), (b, other) in combinations(outlines(simulation, int(time_ns)).items(), 2):
-            assert apart(outline, other), f"{a} and {b} at {1e-9 * (time_ns - ORIGIN_NS):.1f} s"
+    time_ns = ORIGIN_NS + 200_000_000 * np.arange(int(5 * scene.duration_s))
+    for (a, outline), (b, other) in combinations(outlines(simulation, time_ns).items(), 2):
+        touching = time_ns[~apart(outline, other)]
+        assert len(touching) == 0, f"{a} and {b} at {1e-9 * (touching - ORIGIN_NS)} s"
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -150,10 +169,9 @@ def test_other_ways_of_moving_keep_clear_too(path: str) -> None:
     assert ahead[0] > 0.95
     assert len(simulation.scene.movers) >= 5
     if path != "walk":
-        for time_ns in simulation.camera_ns[::2]:
-            found = outlines(simulation, int(time_ns))
-            rig = found.pop("rig")
-            assert all(apart(rig, other) for other in found.values())
+        found = outlines(simulation, simulation.camera_ns[::2])
+        rig = found.pop("rig")
+        assert all(apart(rig, other).all() for other in found.values())
 
 
 def recording(folder: Path, seconds: float, sink_m: float = 0.0) -> Path:
