@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
+import numpy as np
 
 _NOT_NUMERICAL = ("batch", "cli", "datasets", "outputs", "ros")
 """Folders of tests about files, commands and processes."""
@@ -25,7 +25,7 @@ _AVX512_GLIBC = ("AVX512F", "AVX512BW", "AVX512CD", "AVX512DQ", "AVX512VL")
 
 def instructions(processor: str) -> dict[str, str]:
     """The environment in which all five libraries have this processor's instructions."""
-    new = [name for name in __cpu_dispatch__ if __cpu_features__.get(name, False)]
+    new = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     avx512 = [name for name in new if name.startswith(("AVX512", "X86_V4"))]
     numpy_without, opencv_without, glibc_without = {
         "Nehalem": (new, ("AVX512-SKX", "AVX2", "FP16", "AVX"), (*_AVX512_GLIBC, "AVX2", "FMA")),
