@@ -84,14 +84,14 @@ def data_root() -> Path:
 def simulated_street(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """A function (scene of the catalog) to its folder in KAIST's layout, with truth.
 
-    5 s at 10 Hz, pictures of 320x140; each is rendered once.
+    7 s at 10 Hz, pictures of 320x140; each is rendered once.
     """
     root = tmp_path_factory.mktemp("streets")
 
     def street(scene: str) -> Path:
         folder = root / scene
         if not folder.exists():
-            simulation = make_simulation(load_scene(scene), seed=1, size=(320, 140), duration_s=5.0)
+            simulation = make_simulation(load_scene(scene), seed=1, size=(320, 140), duration_s=7.0)
             for _ in write_kaist(folder, simulation, seed=1):
                 pass
         return folder

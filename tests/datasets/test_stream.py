@@ -188,19 +188,11 @@ def test_bayer_pattern_of_a_colour_is_flat_after_demosaicing(tmp_path: Path) -> 
         assert abs(float(grey.mean()) - 200 * weight) < 1.5
 
 
-def test_rendered_bayer_images_keep_no_checkerboard(
-    simulated_street: Callable[[str], Path],
-) -> None:
-    assert_no_checkerboard(open_sequence(simulated_street("crossing")).left_paths[0])
-
-
-def test_real_bayer_images_keep_no_checkerboard(data_root: Path) -> None:
-    if not (data_root / "kaist_sample").is_dir():
-        pytest.skip(f"{data_root / 'kaist_sample'} is missing")
-    assert_no_checkerboard(open_sequence(data_root / "kaist_sample").left_paths[0])
-
-
-def assert_no_checkerboard(path: Path) -> None:
+@pytest.mark.parametrize("name", ["kaist_sample", "street_traffic"])
+def test_real_bayer_images_keep_no_checkerboard(data_root: Path, name: str) -> None:
+    if not (data_root / name).is_dir():
+        pytest.skip(f"{data_root / name} is missing")
+    path = open_sequence(data_root / name).left_paths[0]
     raw, grey = read_grey(path), read_bayer_as_grey(path)
     assert checkerboard(grey) < 0.15 * checkerboard(raw)
 
