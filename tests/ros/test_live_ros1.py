@@ -123,9 +123,8 @@ class Ros:
 
 @pytest.fixture
 def ros(tmp_path: Path) -> Iterator[Ros]:
-    pytest.importorskip("rospy")
-    if shutil.which("roscore") is None or shutil.which("rosbag") is None:
-        pytest.skip("no roscore or rosbag: install Debian's ROS packages (docs/ros.md)")
+    for command in ("roscore", "rosbag", "rostopic"):
+        assert shutil.which(command), f"no {command}: install Debian's ROS packages (docs/ros.md)"
     master = Ros(tmp_path)
     yield master
     master.close()

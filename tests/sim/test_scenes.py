@@ -1,5 +1,6 @@
 """Simulations of scene files: seeds, sizes, ways of moving, and bodies that never touch."""
 
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ovmot.sim.scenes import ORIGIN_NS, make_simulation
 from ovmot.sim.simulation import Simulation
 
 SMALL = (160, 70)
+scene_of = cache(load_scene)
 
 
 def corners(center: FloatArray, yaw: FloatArray, size: FloatArray) -> FloatArray:
@@ -64,7 +66,7 @@ def test_outlines_are_told_apart() -> None:
 
 
 def test_outlines_are_where_the_movers_say_that_they_are() -> None:
-    simulation = make_simulation(load_scene("traffic"), seed=0)
+    simulation = make_simulation(scene_of("traffic"), seed=0)
     time_ns = ORIGIN_NS + 1_000_000_000 * np.arange(3)
     found = outlines(simulation, time_ns)
     for mover in simulation.scene.movers:
@@ -78,7 +80,7 @@ def test_outlines_are_where_the_movers_say_that_they_are() -> None:
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("seed", range(5))
 def test_nothing_ever_touches(name: str, seed: int) -> None:
-    scene = load_scene(name)
+    scene = scene_of(name)
     simulation = make_simulation(scene, seed=seed)
     assert len(simulation.scene.movers) == len(scene.along) + len(scene.across)
     time_ns = ORIGIN_NS + 200_000_000 * np.arange(int(5 * scene.duration_s))
@@ -91,7 +93,7 @@ def test_nothing_ever_touches(name: str, seed: int) -> None:
 def test_a_seed_repeats_and_two_differ(name: str) -> None:
     def grey(seed: int) -> FloatArray:
         size = (128, 128) if name == "fisheye" else SMALL
-        simulation = make_simulation(load_scene(name), seed=seed, size=size, duration_s=0.1)
+        simulation = make_simulation(scene_of(name), seed=seed, size=size, duration_s=0.1)
         T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
         rays = camera_rays(simulation.rig.cam0)
         picture = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS)
@@ -103,7 +105,7 @@ def test_a_seed_repeats_and_two_differ(name: str) -> None:
 
 
 def test_a_seed_moves_starts_and_speeds_within_the_jitter() -> None:
-    scene = load_scene("traffic")
+    scene = scene_of("traffic")
     plain = make_simulation(scene.model_copy(update={"jitter": scene.jitter.model_copy(
         update={"start_m": 0.0, "speed": 0.0})}), seed=0)  # fmt: skip
     shifts = []
@@ -122,7 +124,7 @@ def test_a_seed_moves_starts_and_speeds_within_the_jitter() -> None:
 
 
 def test_a_jam_is_mostly_movers() -> None:
-    simulation = make_simulation(load_scene("jam"), seed=0, size=SMALL)
+    simulation = make_simulation(scene_of("jam"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     shares = []
     for time_ns in simulation.camera_ns[::20]:
@@ -137,7 +139,7 @@ def test_a_jam_is_mostly_movers() -> None:
 
 
 def test_the_night_is_dark() -> None:
-    simulation = make_simulation(load_scene("night"), seed=0, size=SMALL)
+    simulation = make_simulation(scene_of("night"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
     grey = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
@@ -146,7 +148,7 @@ def test_the_night_is_dark() -> None:
 
 
 def test_a_longer_simulation_begins_as_a_shorter_one() -> None:
-    scene = load_scene("traffic")
+    scene = scene_of("traffic")
     short, long = (make_simulation(scene, seed=2, duration_s=d) for d in (1.0, 20.0))
     assert len(short.camera_ns) == 10
     assert len(long.camera_ns) == 200
@@ -159,7 +161,7 @@ def test_a_longer_simulation_begins_as_a_shorter_one() -> None:
 
 @pytest.mark.parametrize("path", ["stand", "walk", "drive"])
 def test_other_ways_of_moving_keep_clear_too(path: str) -> None:
-    simulation = make_simulation(load_scene("traffic"), seed=1, path=path, duration_s=12.0)
+    simulation = make_simulation(scene_of("traffic"), seed=1, path=path, duration_s=12.0)
     speed = np.linalg.norm(simulation.path.velocity(simulation.camera_ns), axis=-1)
     assert {"stand": speed.max() < 1e-9, "walk": 0.8 < speed.max() < 2.0,
             "drive": speed.max() > 5.0}[path]  # fmt: skip
@@ -191,7 +193,7 @@ def recording(folder: Path, seconds: float, sink_m: float = 0.0) -> Path:
 
 
 def test_a_recorded_path_starts_at_the_rig_and_looks_where_it_goes(tmp_path: Path) -> None:
-    scene = load_scene("traffic")
+    scene = scene_of("traffic")
     simulation = make_simulation(scene, seed=0, path=str(recording(tmp_path, 10.0)))
     assert 70 < len(simulation.camera_ns) <= 80  # two margins of a second
     start, last = int(simulation.camera_ns[0]), int(simulation.camera_ns[-1])
@@ -211,7 +213,7 @@ def test_a_recorded_path_starts_at_the_rig_and_looks_where_it_goes(tmp_path: Pat
 
 
 def test_a_recorded_path_that_leaves_or_ends_is_refused(tmp_path: Path) -> None:
-    scene = load_scene("empty")
+    scene = scene_of("empty")
     with pytest.raises(InputError, match=r"walk\.tum: the camera, 1\.5 m above.*sinks to"):
         make_simulation(scene, seed=0, path=str(recording(tmp_path, 10.0, sink_m=2.5)))
     with pytest.raises(InputError, match=r"walk\.tum: .* s long"):
@@ -223,13 +225,13 @@ def test_a_recorded_path_that_leaves_or_ends_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, 600.5, float("nan")])
 def test_impossible_durations_are_refused(duration_s: float) -> None:
     with pytest.raises(InputError, match="choose more than 0 and at most 600 s"):
-        make_simulation(load_scene("empty"), seed=0, duration_s=duration_s)
+        make_simulation(scene_of("empty"), seed=0, duration_s=duration_s)
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 0.5, 101.0, float("nan")])
 def test_impossible_rates_are_refused(rate_hz: float) -> None:
     with pytest.raises(InputError, match="choose 1 to 100"):
-        make_simulation(load_scene("empty"), seed=0, rate_hz=rate_hz)
+        make_simulation(scene_of("empty"), seed=0, rate_hz=rate_hz)
 
 
 def test_a_scene_whose_movers_touch_says_which_and_when() -> None:
