@@ -49,7 +49,7 @@ def test_near_the_centre_a_lens_does_nothing(case: str, radius: float) -> None:
     np.testing.assert_allclose(lens.distort(xy, coefficients), xy, rtol=0.0, atol=bound)
     np.testing.assert_allclose(lens.undistort(xy, coefficients), xy, rtol=0.0, atol=bound)
     J, C = lens.distort_jacobian(xy, coefficients)
-    assert np.abs(J - np.eye(2)).max() <= 10.0 * radius + 1e-16
+    assert np.abs(J - np.eye(2)).max() <= 10.0 * radius + 1e-15
     assert np.abs(C).max(initial=0.0) <= 10.0 * radius**2
 
 

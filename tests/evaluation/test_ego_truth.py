@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -91,8 +92,11 @@ def test_broken_truth_names_file_and_row(
     assert "\n" not in str(caught.value)
 
 
-def test_the_rendered_and_the_real_folder(data_root: Path) -> None:
-    street = read_ego_truth(data_root / "street_traffic")
-    assert len(street.timestamp_ns) == 2000
-    assert street.T_world_imu.shape == (2000, 4, 4)
+def test_a_simulated_folder(simulated_street: Callable[[str], Path]) -> None:
+    street = read_ego_truth(simulated_street("crossing"))
+    assert len(street.timestamp_ns) == 691  # at 100 Hz from the first to the 70th picture
+    assert street.T_world_imu.shape == (691, 4, 4)
+
+
+def test_the_real_folder(data_root: Path) -> None:
     assert len(read_ego_truth(data_root / "euroc_mh01").timestamp_ns) > 1000

@@ -25,6 +25,8 @@ from ovmot.vio.imu_buffer import ImuBuffer
 from ovmot.vio.state import GYRO_BIAS, THETA, VELOCITY, ImuState
 
 G = 9.81
+ROUNDING_M = 1e-12
+"""Some thousand last bits of the metres that a path goes."""
 PRIOR = InitializationPrior(G, 0.05)
 N_FRAMES = 13  # 1.2 s at 10 frames a second
 FRAME_NS = 100_000_000
@@ -92,7 +94,8 @@ def test_stereo_path_is_the_path_of_the_imu(
     T = curvy_path.pose(np.array([f.timestamp_ns for f in drive.frames]))
     expected = se3.inverse(T[0]) @ T
     miss = np.linalg.norm(path.T_start_imu[:, :3, 3] - expected[:, :3, 3], axis=1)
-    assert (miss <= 3.0 * path.sigma).all()
+    # the first pose is given: its sigma is 0, what it misses is rounding
+    assert (miss <= 3.0 * path.sigma + ROUNDING_M).all()
     assert miss[-1] < 0.05
     assert (np.diff(path.sigma) > 0.0).all()
 
