@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ovmot.datasets.euroc.calibration import read_euroc
+from ovmot.datasets.asl import read_euroc
 from ovmot.datasets.kalibr import read_kalibr
 from ovmot.errors import CalibrationError
 

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets import open_sequence
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.pose_files import StampedTable
+from ovmot.datasets.text_tables import StampedTable
 from ovmot.errors import CalibrationError, DatasetError, InputError
 
 Edit = Callable[[Path, str, str], None]

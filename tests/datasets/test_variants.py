@@ -14,7 +14,11 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets import open_sequence
 from ovmot.datasets.images import read_grey
-from ovmot.datasets.segmentation import Segmentation, SegmentationMasks, read_colours
+from ovmot.datasets.instance_masks import (
+    InstanceImages,
+    InstanceMasks,
+    read_colours,
+)
 from ovmot.datasets.viode.calibration import read_vins
 from ovmot.errors import CalibrationError, DatasetError, InputError
 
@@ -224,7 +228,7 @@ def test_colours_and_ids_of_segmentation(painted_rig: StereoRig, tmp_path: Path)
     cv2.imwrite(str(tmp_path / "5.png"), picture)
     cv2.imwrite(str(tmp_path / "6.png"), np.full((240, 320), 7, dtype=np.uint8))
     paths = {n: tmp_path / f"{n}.png" for n in (5, 6)}
-    masks = SegmentationMasks.make(Segmentation((paths, {}), colours), (7,), painted_rig)
+    masks = InstanceMasks.make(InstanceImages((paths, {}), colours), (7,), painted_rig)
     left, right = masks.of(5)
     assert left is not None and right is None
     np.testing.assert_array_equal(np.flatnonzero(left.any(axis=1)), np.arange(10))

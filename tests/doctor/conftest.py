@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from ovmot.datasets.euroc.writer import write_asl
-from ovmot.datasets.pose_files import read_stamped_csv
+from ovmot.datasets.text_tables import read_stamped_csv
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.sim.scene_file import load_scene

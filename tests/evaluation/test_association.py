@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ovmot.evaluation.association import associate_stamps
+from ovmot.evaluation.trajectory import associate_stamps
 from ovmot.geometry.arrays import IntArray
 
 

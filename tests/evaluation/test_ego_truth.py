@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.datasets.truth import read_ego_truth
 from ovmot.errors import InputError
-from ovmot.evaluation.ego_truth import read_ego_truth
 
 ASL = "mav0/state_groundtruth_estimate0/data.csv"
 POSES = "#ns,x,y,z,qw,qx,qy,qz\n100,1,2,3,1,0,0,0\n200,4,5,6,0,0,0,1\n"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.truth import ObjectTruth, read_object_truth
 from ovmot.evaluation.labels import count_labels
 from ovmot.evaluation.matching import ObjectCriteria
-from ovmot.evaluation.object_files import LABELS, GatedMatches, LabelledPoints
-from ovmot.evaluation.object_truth import ObjectTruth, read_object_truth
 from ovmot.evaluation.stereo_gate import count_gate
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import LABELS, GatedMatches, LabelledPoints
 
 STAMP = 1_000
 UNKNOWN, STATIC, DYNAMIC = range(3)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.datasets.truth import read_object_truth
 from ovmot.errors import InputError
-from ovmot.evaluation.object_files import read_matches, read_points, read_tracks
-from ovmot.evaluation.object_truth import read_object_truth
+from ovmot.outputs.run_reader import read_matches, read_points, read_tracks
 
 TRACK_COLUMNS = (
     "timestamp_ns,track_id,state,x,y,z,vx,vy,vz,yaw,yaw_rate,length,width,height,"

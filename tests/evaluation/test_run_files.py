@@ -7,9 +7,9 @@ import pytest
 
 from ovmot.datasets.pose_files import write_tum
 from ovmot.errors import InputError
-from ovmot.evaluation.run_files import read_ego_run
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import read_ego_run
 from ovmot.outputs.tables import CovarianceTable, StateTable, TrajectoryTable
 from ovmot.types import EgoEstimate, FrameResult, ScenePoints, StereoFrame, StereoMatches
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ovmot.sim.city_drive import city_drive
 from ovmot.sim.paths import drive_path
+from ovmot.sim.rides import city_drive
 
 ORIGIN = 1_500_000_000_000_000_000
 

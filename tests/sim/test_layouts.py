@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.camera import Camera
-from ovmot.cameras.models import LENSES
-from ovmot.cameras.rig import StereoRig
+from ovmot.cameras.models import CAMERA_MODELS
+from ovmot.cameras.rig import StereoRig, rectified, without_distortion
+from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.registry import open_sequence
-from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import FolderSequence
 from ovmot.errors import InputError
 from ovmot.sim.render import RenderedFrame, render_stereo
-from ovmot.sim.rigs import rectified, without_distortion
 from ovmot.sim.sequence_files import generators, imu_samples
 from ovmot.sim.simulation import Simulation
 from ovmot.sim.writers import WRITERS
@@ -27,7 +26,7 @@ RigCheck = Callable[[StereoRig, StereoRig], None]
 
 def fisheye(camera: Camera) -> Camera:
     coefficients = np.array([-0.02, 0.004, -0.002, 0.0003])
-    return replace(camera, lens=LENSES["equidistant"], distortion=coefficients)
+    return replace(camera, lens=CAMERA_MODELS["equidistant"], distortion=coefficients)
 
 
 def with_fisheye(rig: StereoRig) -> StereoRig:
@@ -141,7 +140,7 @@ def test_segmentation_of_viode_becomes_masks(small_simulation: Simulation, tmp_p
     seen = np.unique(frame.left.object_id)
     ids = tuple(int(i) for i in seen[seen > 0][:2])
     assert len(ids) == 2
-    masks = SegmentationMasks.make(sequence.segmentation, ids, sequence.rig)
+    masks = InstanceMasks.make(sequence.segmentation, ids, sequence.rig)
     left, right = masks.of(frame.frame.timestamp_ns)
     assert left is not None and right is not None
     np.testing.assert_array_equal(left > 0, np.isin(frame.left.object_id, ids))

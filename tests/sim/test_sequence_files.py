@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from ovmot.cameras.rig import StereoRig
-from ovmot.datasets.pose_files import read_stamped_csv
+from ovmot.cameras.rig import StereoRig, rectified, without_distortion
+from ovmot.datasets.text_tables import read_stamped_csv
 from ovmot.errors import InputError
 from ovmot.sim.imu_errors import ImuErrors
 from ovmot.sim.render import camera_rays, render_picture
-from ovmot.sim.rigs import rectified, without_distortion
 from ovmot.sim.sequence_files import generators, imu_samples, imu_times, truth_times
 from ovmot.sim.simulation import Simulation
 from ovmot.sim.truth import depth_image

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Protocol
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets.bag.file import bag_at
 from ovmot.datasets.bag.reader import read_bag
 from ovmot.datasets.bag.topics import BagTopics
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.euroc.reader import EurocReader
 from ovmot.datasets.four_seasons.reader import FourSeasonsReader
 from ovmot.datasets.kaist.reader import KaistReader

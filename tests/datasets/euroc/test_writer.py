@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.camera import Camera
-from ovmot.cameras.models import LENSES
+from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.euroc.writer import write_asl
-from ovmot.datasets.pose_files import read_stamped_csv
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.text_tables import read_stamped_csv
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.sim.imu_errors import ImuErrors
@@ -30,7 +30,7 @@ SEED = 5
 
 
 def with_lens(camera: Camera, lens: str) -> Camera:
-    return replace(camera, lens=LENSES[lens], distortion=np.array(DISTORTION[lens]))
+    return replace(camera, lens=CAMERA_MODELS[lens], distortion=np.array(DISTORTION[lens]))
 
 
 @pytest.fixture(scope="module", params=sorted(DISTORTION))

@@ -12,8 +12,8 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.kaist.writer import write_kaist
-from ovmot.datasets.pose_files import read_stamped_csv
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.text_tables import read_stamped_csv
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.sim.imu_errors import ImuErrors

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ovmot.cameras.calibration import NOISE_KEYS
 from ovmot.cameras.camera import Camera
+from ovmot.datasets.asl import write_asl_imu, write_listed
+from ovmot.datasets.calibration import NOISE_KEYS
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -34,10 +35,6 @@ MODEL_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant", "non
 
 _LEFT, _RIGHT, _IMU = "mav0/cam0", "mav0/cam1", "mav0/imu0"
 _STATES = "mav0/state_groundtruth_estimate0"
-_IMU_HEADER = (
-    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
-    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
-)
 _STATES_HEADER = (
     "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
     "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],"
@@ -89,18 +86,6 @@ def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator
     _write_states(folder / _STATES, simulation, imu)
     write_imu_truth(folder, simulation, imu)
     yield from write_frames(folder, simulation, by_stamp(left, right), picture_rng)
-
-
-def write_listed(camera: Path, camera_ns: IntArray) -> None:
-    """`data.csv` of a camera: stamps and file names."""
-    rows = "".join(f"{t},{t}.png\n" for t in camera_ns)
-    (camera / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}", encoding="utf-8")
-
-
-def write_asl_imu(path: Path, imu: SimulatedImu) -> None:
-    """`data.csv` of the IMU: ns, gyro, accel."""
-    values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
-    write_rows(path, imu.data.timestamp_ns, values, _IMU_HEADER)
 
 
 def _write_camera(

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
-from ovmot.datasets.pose_files import ns_to_seconds
+from ovmot.cameras.rig import StereoRig, rectified
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
-from ovmot.sim.rigs import rectified
 from ovmot.sim.sequence_files import (
     by_stamp,
     generators,

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
+from ovmot.cameras.rig import StereoRig, rectified
 from ovmot.errors import InputError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.sim.render import RenderedFrame
-from ovmot.sim.rigs import rectified
 from ovmot.sim.sequence_files import (
     generators,
     imu_samples,

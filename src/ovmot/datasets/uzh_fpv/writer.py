@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.kalibr_writer import check_rig, write_chain, write_noise
-from ovmot.datasets.pose_files import ns_to_seconds
+from ovmot.datasets.kalibr import check_rig, write_chain, write_noise
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError
 from ovmot.sim.render import RenderedFrame
 from ovmot.sim.sequence_files import (

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.datasets.euroc.writer import write_asl_imu, write_listed
+from ovmot.cameras.rig import without_distortion
+from ovmot.datasets.asl import write_asl_imu, write_listed
 from ovmot.errors import InputError
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.sim.render import RenderedFrame
-from ovmot.sim.rigs import without_distortion
 from ovmot.sim.sequence_files import (
     generators,
     imu_samples,

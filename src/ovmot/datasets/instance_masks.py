@@ -1,4 +1,4 @@
-"""Segmentation pictures of a data set, and masks made of them.
+"""Instance images of a data set, and masks made of them.
 
 Each pixel shows the colour of what is seen there, and a table gives the colours numbers (VIODE and
 other data rendered by AirSim). Grey pictures hold the numbers themselves.
@@ -14,7 +14,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import numbered_images
-from ovmot.datasets.pose_files import read_lines
+from ovmot.datasets.text_tables import read_lines
 from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import Image
 
@@ -23,7 +23,7 @@ _COLOUR_COLUMNS = ("id", "r", "g", "b")
 
 
 @dataclass(frozen=True, slots=True)
-class Segmentation:
+class InstanceImages:
     """The pictures of both cameras by stamp (ns), and the colour (red, green, blue) of each id.
 
     `colours` is empty where the pictures are grey and hold the ids.
@@ -34,17 +34,17 @@ class Segmentation:
 
 
 @dataclass(frozen=True, slots=True)
-class SegmentationMasks:
+class InstanceMasks:
     """Masks of the pixels that show one of `ids`; a source of masks as `Masks` is."""
 
-    segmentation: Segmentation
+    segmentation: InstanceImages
     ids: tuple[int, ...]
     sizes: tuple[tuple[int, int], tuple[int, int]]
 
     @classmethod
     def make(
-        cls, segmentation: Segmentation, ids: tuple[int, ...], rig: StereoRig
-    ) -> "SegmentationMasks":
+        cls, segmentation: InstanceImages, ids: tuple[int, ...], rig: StereoRig
+    ) -> "InstanceMasks":
         """For the pictures of a rig."""
         sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
         return cls(segmentation, ids, sizes)
@@ -79,9 +79,9 @@ class SegmentationMasks:
         return mask.astype(np.uint8)
 
 
-def find_segmentation(
+def find_instance_images(
     folders: tuple[Path, Path], table: Path | None, findings: Findings
-) -> Segmentation | None:
+) -> InstanceImages | None:
     """The pictures `<ns>.png` of both cameras, those of a missing folder left out.
 
     None where both folders are missing. Raises `DatasetError` for a broken table of colours.
@@ -92,7 +92,7 @@ def find_segmentation(
     if table is None:
         text = f"{folders[0]}: no table rgb_ids.txt: coloured segmentation cannot be used as masks"
         findings.note("no_segmentation_colours", 1, text)
-    return Segmentation((left, right), {} if table is None else read_colours(table))
+    return InstanceImages((left, right), {} if table is None else read_colours(table))
 
 
 def read_colours(path: Path) -> dict[int, tuple[int, int, int]]:
