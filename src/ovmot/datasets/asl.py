@@ -23,12 +23,9 @@ from ovmot.datasets.frames import (
 )
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.text_tables import read_stamped_csv, read_stamped_names
+from ovmot.datasets.writing import ImuToWrite, write_rows
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import IntArray
-from ovmot.sim.imu import SimulatedImu
-from ovmot.sim.sequence_files import (
-    write_rows,
-)
 from ovmot.types import ImuData
 
 _IMU_COLUMNS = 7  # ns, gyro xyz, accel xyz
@@ -117,7 +114,7 @@ def write_listed(camera: Path, camera_ns: IntArray) -> None:
     (camera / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}", encoding="utf-8")
 
 
-def write_asl_imu(path: Path, imu: SimulatedImu) -> None:
+def write_asl_imu(path: Path, imu: ImuToWrite) -> None:
     """`data.csv` of the IMU: ns, gyro, accel."""
     values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
     write_rows(path, imu.data.timestamp_ns, values, _IMU_HEADER)

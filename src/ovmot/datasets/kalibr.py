@@ -20,7 +20,6 @@ from ovmot.datasets.calibration import (
 from ovmot.errors import InputError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.sim.simulation import ImuModel
 from ovmot.types import ImuNoise
 
 CHAIN_FILE = "kalibr_imucam_chain.yaml"
@@ -144,11 +143,11 @@ def write_chain(path: Path, rig: StereoRig) -> None:
     write_yaml(path, values)
 
 
-def write_noise(path: Path, imu: ImuModel) -> None:
+def write_noise(path: Path, imu_noise: ImuNoise, rate_hz: float) -> None:
     """Kalibr's `imu.yaml`; nothing for an IMU without noise: readers refuse densities of zero."""
-    noise = {key: getattr(imu.noise, name) for name, key in NOISE_KEYS.items()}
+    noise = {key: getattr(imu_noise, name) for name, key in NOISE_KEYS.items()}
     if min(noise.values()) > 0.0:
-        write_yaml(path, {**noise, "rostopic": "/imu0", "update_rate": imu.rate_hz})
+        write_yaml(path, {**noise, "rostopic": "/imu0", "update_rate": rate_hz})
 
 
 def write_yaml(path: Path, values: dict[str, Any]) -> None:

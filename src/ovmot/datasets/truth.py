@@ -1,4 +1,17 @@
-"""The true motion of the rig, from the files that data sets bring it in."""
+"""The truth of a sequence: the rig's motion, boxes of objects, images of ids and depth.
+
+Where the true poses are depends on the data set (`TRUTH_FILES`). Sequences that ovmot writes hold,
+in `truth/`:
+
+- `<ns>.png`: the object id at every left pixel, 0 where no object is seen;
+- `depth/<ns>.png`: the left view's depth as 16-bit integers, 256 to the metre (the convention of
+  KITTI's depth maps); 0 in the sky, beyond 255.99 m and where the camera model has no ray;
+- `poses.csv`: ns and the IMU's pose, where the format itself has no place for it;
+- `imu.csv`: ns and the true gyro and accel bias of every IMU sample;
+- `imu_errors.yaml`: the IMU's systematic errors and time offset, where it has any;
+- `objects.json`: the rig's pose and all objects at every frame. It is written last and in one
+  piece.
+"""
 
 import json
 from dataclasses import dataclass
@@ -7,6 +20,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 
 from ovmot.datasets.pose_files import read_euroc_ground_truth, read_tum
 from ovmot.datasets.text_tables import column_count, read_stamped_csv
@@ -75,8 +89,8 @@ def _find(data: Path) -> Path:
     raise InputError.at(data, f"holds no true poses (looked for {known})", "give a TUM file")
 
 
-DEPTH_UNITS_PER_M = 256.0
-"""Of depth pictures, as KITTI's: 16 bits, 0 where nothing is known."""
+DEPTH_STEPS_PER_M = 256.0
+"""Of depth images, as KITTI's: 16 bits, 0 where nothing is known."""
 _NUMBERS = ("x", "y", "z", "yaw", "l", "w", "h", "vx", "vy", "yaw_rate", "visible_px")
 _REMEDY = "simulate the sequence again"
 
@@ -86,7 +100,8 @@ class TrueObjects:
     """The N objects of one frame, in the true world.
 
     `center` (N, 3) of the box, `yaw` (N,), `size` (N, 3) length, width, height, `velocity` (N, 3),
-    `yaw_rate` (N,), `visible_px` (N,) pixels of it in the left picture.
+    `yaw_rate` (N,), `visible_px` (N,) pixels of it in the left image; `category` names the kind of
+    each, and is empty where it is not read. Metres, radians, seconds.
     """
 
     timestamp_ns: int
@@ -97,6 +112,7 @@ class TrueObjects:
     velocity: FloatArray
     yaw_rate: FloatArray
     visible_px: IntArray
+    category: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +141,7 @@ class ObjectTruth:
         picture: AnyArray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if picture is None or picture.dtype != np.uint16:
             raise InputError.at(path, "is not there or not a 16-bit image", _REMEDY)
-        return np.where(picture > 0, picture / DEPTH_UNITS_PER_M, np.nan)
+        return np.where(picture > 0, picture / DEPTH_STEPS_PER_M, np.nan)
 
 
 def read_object_truth(data: Path) -> ObjectTruth | None:
@@ -166,3 +182,49 @@ def _frame(path: Path, index: int, entry: Any) -> TrueObjects:
         stamp, ids, numbers[:, :3], numbers[:, 3], numbers[:, 4:7], velocity, numbers[:, 9],
         numbers[:, 10].astype(np.int64),
     )  # fmt: skip
+
+
+def depth_image(depth: AnyArray) -> AnyArray:
+    """Depth (H, W) in m as uint16, 256 to the metre; 0 for none (not finite or 256 m and more).
+
+    The convention of KITTI's depth maps (J. Uhrig et al., "Sparsity Invariant CNNs", 3DV 2017).
+    """
+    steps = np.round(DEPTH_STEPS_PER_M * np.where(np.isfinite(depth), depth, 0.0))
+    return np.where(steps <= np.iinfo(np.uint16).max, steps, 0.0).astype(np.uint16)
+
+
+def object_entry(objects: TrueObjects, T_world_imu: FloatArray) -> dict[str, Any]:
+    """One frame of objects.json: box centres, metres, rad, m/s, in the world frame."""
+    rows = zip(
+        objects.object_id.tolist(), objects.category, objects.center.tolist(), objects.yaw.tolist(),
+        objects.size.tolist(), objects.velocity.tolist(), objects.yaw_rate.tolist(),
+        objects.visible_px.tolist(), strict=True,
+    )  # fmt: skip
+    return {
+        "t_ns": objects.timestamp_ns,
+        "T_w_body": T_world_imu.tolist(),
+        "objects": [
+            {
+                "id": number, "cls": category,
+                "x": x, "y": y, "z": z, "yaw": yaw,
+                "l": length, "w": width, "h": height,
+                "vx": velocity[0], "vy": velocity[1],
+                "yaw_rate": yaw_rate, "visible_px": visible,
+            }
+            for number, category, (x, y, z), yaw, (length, width, height), velocity, yaw_rate,
+            visible in rows
+        ],
+    }  # fmt: skip
+
+
+def write_object_truth(path: Path, entries: list[dict[str, Any]]) -> None:
+    """Write objects.json in one step; raises `OSError`."""
+    partial = path.with_name(f"{path.name}.partial")
+    partial.write_text(json.dumps(entries), encoding="utf-8")
+    partial.replace(path)
+
+
+def write_imu_errors(path: Path, errors: dict[str, Any]) -> None:
+    """The IMU's true errors by name, in SI units, as YAML; raises `OSError`."""
+    text = yaml.safe_dump(errors, sort_keys=False, default_flow_style=None)
+    path.write_text(text, encoding="utf-8")
