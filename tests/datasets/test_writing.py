@@ -9,14 +9,14 @@ import pytest
 import yaml
 
 from ovmot.cameras.rig import StereoRig, rectified, without_distortion
+from ovmot.datasets.registry import WRITERS
 from ovmot.datasets.text_tables import read_stamped_csv
+from ovmot.datasets.writing import Writer, truth_times
 from ovmot.errors import InputError
 from ovmot.sim.imu_errors import ImuErrors
+from ovmot.sim.recording import generators, imu_samples, record
 from ovmot.sim.render import camera_rays, render_picture
-from ovmot.sim.sequence_files import generators, imu_samples, imu_times, truth_times
 from ovmot.sim.simulation import Simulation
-from ovmot.sim.truth import depth_image
-from ovmot.sim.writers import WRITERS, Writer
 
 
 def _picture_rig(writer: Writer, rig: StereoRig) -> StereoRig:
@@ -31,11 +31,6 @@ def writer(request: pytest.FixtureRequest) -> Writer:
     return WRITERS[request.param]
 
 
-def test_depth_picture_has_256_steps_to_the_metre() -> None:
-    depth = np.array([[0.05, 1.0, 255.99], [256.0, np.inf, np.nan]], dtype=np.float32)
-    np.testing.assert_array_equal(depth_image(depth), [[13, 256, 65533], [0, 0, 0]])
-
-
 def test_depth_and_imu_truth_are_written(
     small_simulation: Simulation, writer: Writer, tmp_path: Path
 ) -> None:
@@ -45,7 +40,7 @@ def test_depth_and_imu_truth_are_written(
         imu=replace(small_simulation.imu, errors=errors),
         camera_ns=small_simulation.camera_ns[:1],
     )
-    assert list(writer(tmp_path, simulation, 3)) == simulation.camera_ns.tolist()
+    assert list(writer(tmp_path, record(simulation, 3))) == simulation.camera_ns.tolist()
     time_ns = int(simulation.camera_ns[0])
     steps = cv2.imread(str(tmp_path / f"truth/depth/{time_ns}.png"), cv2.IMREAD_UNCHANGED)
     assert steps is not None
@@ -72,7 +67,11 @@ def test_depth_and_imu_truth_are_written(
 def test_an_imu_without_errors_has_no_file_of_them(
     small_simulation: Simulation, writer: Writer, tmp_path: Path
 ) -> None:
-    list(writer(tmp_path, replace(small_simulation, camera_ns=small_simulation.camera_ns[:1]), 3))
+    list(
+        writer(
+            tmp_path, record(replace(small_simulation, camera_ns=small_simulation.camera_ns[:1]), 3)
+        )
+    )
     assert (tmp_path / "truth/imu.csv").exists()
     assert not (tmp_path / "truth/imu_errors.yaml").exists()
 
@@ -80,7 +79,7 @@ def test_an_imu_without_errors_has_no_file_of_them(
 def test_an_interrupted_sequence_has_no_objects_file(
     small_simulation: Simulation, writer: Writer, tmp_path: Path
 ) -> None:
-    frames = writer(tmp_path, small_simulation, 3)
+    frames = writer(tmp_path, record(small_simulation, 3))
     first = next(frames)
     frames.close()  # type: ignore[attr-defined]
     assert first == small_simulation.camera_ns[0]
@@ -91,31 +90,16 @@ def test_an_interrupted_sequence_has_no_objects_file(
 def test_a_folder_that_vanishes_is_one_clear_error(
     small_simulation: Simulation, writer: Writer, tmp_path: Path
 ) -> None:
-    frames = writer(tmp_path / "data", small_simulation, 3)
+    frames = writer(tmp_path / "data", record(small_simulation, 3))
     next(frames)
     (tmp_path / "data/truth/depth").rename(tmp_path / "elsewhere")
     with pytest.raises(InputError, match="data: cannot be written: No such file"):
         list(frames)
 
 
-@pytest.mark.parametrize("offset_s", [-0.31, 0.0, 0.4])
-def test_the_imu_covers_all_frames_by_its_own_clock(
-    small_simulation: Simulation, offset_s: float
-) -> None:
-    simulation = replace(
-        small_simulation, rig=replace(small_simulation.rig, time_offset_s=offset_s)
-    )
-    times = imu_times(simulation)
-    frames = simulation.camera_ns + round(1e9 * offset_s)
-    assert times[0] < frames[0] - 400_000_000
-    assert times[-1] > frames[-1] + 200_000_000
-    assert np.all(np.diff(times) == 10_000_000)
-    assert len(imu_samples(simulation, np.random.default_rng(0)).data) == len(times)
-
-
 def test_truth_has_every_frame_also_between_imu_samples(small_simulation: Simulation) -> None:
     odd = small_simulation.camera_ns[0] + np.array([0, 33_333_333, 66_666_667])
-    times = truth_times(replace(small_simulation, camera_ns=odd))
+    times = truth_times(record(replace(small_simulation, camera_ns=odd), 0))
     assert set(odd.tolist()) <= set(times.tolist())
     assert np.diff(times).max() <= 10_000_000
     assert np.all(np.diff(times) > 0)

@@ -1,14 +1,56 @@
+"""The truth of a sequence: poses, objects, images of ids and depth."""
+
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ovmot.datasets.truth import read_ego_truth
+from ovmot.datasets.truth import depth_image, read_ego_truth, read_object_truth
 from ovmot.errors import InputError
 
+
+def test_depth_picture_has_256_steps_to_the_metre() -> None:
+    depth = np.array([[0.05, 1.0, 255.99], [256.0, np.inf, np.nan]], dtype=np.float32)
+    np.testing.assert_array_equal(depth_image(depth), [[13, 256, 65533], [0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[{", "cannot be read"),
+        ("{}", "not a list of frames"),
+        ("[{}]", "frame 0 lacks 'objects'"),
+        ('[{"t_ns": 5, "objects": [{"id": 1}]}]', "frame 0 lacks 'x'"),
+        ("[5]", "objects.json: "),
+    ],
+)
+def test_bad_object_truth(tmp_path: Path, content: str, message: str) -> None:
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "objects.json").write_text(content)
+    with pytest.raises(InputError, match=message):
+        read_object_truth(tmp_path)
+
+
+def test_an_id_twice(tmp_path: Path) -> None:
+    (tmp_path / "truth").mkdir()
+    keys = ("x", "y", "z", "yaw", "l", "w", "h", "vx", "vy", "yaw_rate", "visible_px")
+    car = {**dict.fromkeys(keys, 1.0), "id": 3}
+    listed = [{"t_ns": 5, "objects": [car, car]}]
+    (tmp_path / "truth" / "objects.json").write_text(json.dumps(listed))
+    with pytest.raises(InputError, match="an id twice"):
+        read_object_truth(tmp_path)
+
+
 ASL = "mav0/state_groundtruth_estimate0/data.csv"
+
+
 POSES = "#ns,x,y,z,qw,qx,qy,qz\n100,1,2,3,1,0,0,0\n200,4,5,6,0,0,0,1\n"
+
+
 EUROC_ROW = "{},1,2,3,0,0,0,1,0.1,0.2,0.3,-1,-2,-3,7,8,9\n"
+
+
 TUM = "0.0000001 1 2 3 0 0 0 1\n0.0000002 4 5 6 0 0 1 0\n"
 
 
