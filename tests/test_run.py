@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from ovmot import run as run_module
-from ovmot.datasets.pose_files import ns_to_seconds
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError, InputError, OvmotError
 from ovmot.geometry import se3
 from ovmot.odometry import Odometry

@@ -13,15 +13,15 @@ from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
 from ovmot.evaluation.calibration import calibration_errors, calibration_scalars
 from ovmot.evaluation.consistency import nees, pose_errors
-from ovmot.evaluation.run_files import read_ego_run
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
+from ovmot.outputs.run_reader import read_ego_run
 from ovmot.run import RunOptions, run_features
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
 from ovmot.sim.handheld import EUROC_NOISE, ORIGIN_NS, handheld_rig
-from ovmot.sim.miscalibration import CalibrationError, miscalibrated
+from ovmot.sim.miscalibration import Miscalibration, miscalibrated
 from ovmot.sim.simulation import ImuModel
 
 
@@ -127,9 +127,7 @@ def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
         ImuModel(200.0, EUROC_NOISE, np.full(3, 2e-3), np.full(3, 3e-2)),
         FeatureOptions(n_features=150),
     )  # fmt: skip
-    wrong = CalibrationError(
-        rotation_deg=1.0, position_m=0.02, focal_share=0.01, time_offset_s=0.01
-    )
+    wrong = Miscalibration(rotation_deg=1.0, position_m=0.02, focal_share=0.01, time_offset_s=0.01)
     true, told = simulation.rig, miscalibrated(simulation.rig, wrong, np.random.default_rng(0))
     settings = load_settings(
         None,

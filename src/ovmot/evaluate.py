@@ -9,19 +9,16 @@ from rich.table import Table
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.truth import EgoTruth, ObjectTruth, read_ego_truth, read_object_truth
 from ovmot.errors import InputError, OvmotError
-from ovmot.evaluation.association import associate_stamps
 from ovmot.evaluation.calibration import (
     CalibrationErrors,
     calibration_errors,
     calibration_scalars,
 )
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
-from ovmot.evaluation.ego_truth import EgoTruth, read_ego_truth
 from ovmot.evaluation.labels import LabelCounts, count_labels
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, compare_frames
-from ovmot.evaluation.object_files import read_matches, read_points, read_tracks
-from ovmot.evaluation.object_truth import ObjectTruth, read_object_truth
 from ovmot.evaluation.objects import (
     ObjectMetrics,
     evaluate_objects,
@@ -29,8 +26,9 @@ from ovmot.evaluation.objects import (
     label_scalars,
     object_scalars,
 )
-from ovmot.evaluation.run_files import EgoRun, read_ego_run
 from ovmot.evaluation.stereo_gate import GateCounts, count_gate
+from ovmot.evaluation.trajectory import associate_stamps
+from ovmot.outputs.run_reader import EgoRun, read_ego_run, read_matches, read_points, read_tracks
 from ovmot.outputs.run_writer import EVALUATION_FILES
 from ovmot.sim.features import FeatureRecording
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
-from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
@@ -115,7 +115,7 @@ def _masks(
         remedy = "leave out masks.segmentation_ids"
         raise InputError.at(sequence.root, "has no segmentation pictures", remedy)
     if ids and sequence.segmentation is not None:
-        yield SegmentationMasks.make(sequence.segmentation, ids, sequence.rig)
+        yield InstanceMasks.make(sequence.segmentation, ids, sequence.rig)
 
 
 def run_features(

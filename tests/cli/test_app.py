@@ -17,7 +17,7 @@ import pytest
 
 import ovmot
 from ovmot.cli import app as cli
-from ovmot.datasets.pose_files import ns_to_seconds
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.run_writer import RunWriter
 from ovmot.settings import describe_settings

@@ -14,8 +14,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ovmot.datasets.pose_files import write_tum
+from ovmot.datasets.truth import TrueObjects, read_ego_truth
 from ovmot.evaluate import evaluate_run
-from ovmot.evaluation.ego_truth import read_ego_truth
 from ovmot.evaluation.matching import (
     ComparedFrame,
     ObjectCriteria,
@@ -24,12 +24,11 @@ from ovmot.evaluation.matching import (
     tracking_sequence,
 )
 from ovmot.evaluation.object_errors import detection_latency, pair_errors, pull_out_latency
-from ovmot.evaluation.object_files import Tracks
-from ovmot.evaluation.object_truth import TrueObjects
 from ovmot.evaluation.objects import evaluate_objects, object_scalars
 from ovmot.evaluation.tracking import clear_mot
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import Tracks
 
 TRACK_COLUMNS = (
     "timestamp_ns,track_id,state,x,y,z,vx,vy,vz,yaw,yaw_rate,length,width,height,"

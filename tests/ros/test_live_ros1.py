@@ -22,8 +22,8 @@ import pytest
 
 from ovmot.datasets.registry import open_sequence
 from ovmot.evaluate import evaluate_run
+from ovmot.ros.bag_output import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.messages import OBJECTS, ODOMETRY
-from ovmot.ros.sequence_bag import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
 from ovmot.settings import Settings

@@ -11,7 +11,7 @@ import numpy as np
 
 from ovmot.batch.jobs import JOB_JSON, METRICS_JSON, Job, RenderJob, RunJob, is_done
 from ovmot.batch.plan import Features, Recorded
-from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.registry import WRITERS, open_sequence
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_features, evaluate_run, write_metrics
 from ovmot.run import RunOptions, run_features, run_sequence
@@ -19,9 +19,9 @@ from ovmot.runtime import prepare_process
 from ovmot.sim.features import FeatureOptions, FeatureRecording
 from ovmot.sim.handheld import handheld_simulation
 from ovmot.sim.miscalibration import miscalibrated
+from ovmot.sim.recording import record
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
-from ovmot.sim.writers import WRITERS
 
 _CALIBRATION_STREAM = 100
 """Of a seed's random numbers: apart from those of the simulation itself."""
@@ -59,7 +59,7 @@ def _render(job: RenderJob) -> None:
     unfinished = job.folder.with_name(f"{job.folder.name}.{platform.node()}.{os.getpid()}.part")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
-        for _ in WRITERS[spec.format](unfinished, simulation, job.seed):
+        for _ in WRITERS[spec.format](unfinished, record(simulation, job.seed)):
             pass
         if not job.folder.is_dir():
             unfinished.rename(job.folder)

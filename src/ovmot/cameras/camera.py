@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.cameras.models import LENSES, CameraModel
+from ovmot.cameras.models import CAMERA_MODELS, CameraModel
 from ovmot.errors import CalibrationError
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
@@ -53,13 +53,15 @@ class Camera:
         distortion: FloatArray | list[float] | None = None,
         skew: float = 0.0,
     ) -> "Camera":
-        """Build from plain numbers; `size` is (width, height), `lens` a key of `LENSES`."""
-        if lens not in LENSES:
-            raise CalibrationError(f"unknown lens model '{lens}'; known: {', '.join(LENSES)}")
+        """Build from plain numbers; `size` is (width, height), `lens` a key of `CAMERA_MODELS`."""
+        if lens not in CAMERA_MODELS:
+            raise CalibrationError(
+                f"unknown lens model '{lens}'; known: {', '.join(CAMERA_MODELS)}"
+            )
         coefficients = np.asarray([] if distortion is None else distortion, dtype=np.float64)
         return cls(
             int(size[0]), int(size[1]), np.array([*focal, *center, skew], dtype=np.float64),
-            LENSES[lens], coefficients,
+            CAMERA_MODELS[lens], coefficients,
         )  # fmt: skip
 
     @property

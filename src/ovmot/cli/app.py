@@ -44,7 +44,7 @@ from ovmot.cli.options import (
 )
 from ovmot.datasets.bag.topics import BagTopics
 from ovmot.datasets.openvins_config import load_run_config
-from ovmot.datasets.registry import open_recording
+from ovmot.datasets.registry import WRITERS, open_recording
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
@@ -53,9 +53,9 @@ from ovmot.ros.bag_output import BagOutput
 from ovmot.run import RunOptions, run_sequence
 from ovmot.runtime import prepare_process
 from ovmot.settings import describe_settings
+from ovmot.sim.recording import record
 from ovmot.sim.scene_file import SCENES, load_scene
 from ovmot.sim.scenes import make_simulation
-from ovmot.sim.writers import WRITERS
 
 app = typer.Typer(
     name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -221,7 +221,7 @@ def simulate(
         interruptible(f"{out} holds an unfinished sequence: delete it"),
         progress("simulate", total) as advance,
     ):
-        for done, _ in enumerate(write(out, simulation, seed), start=1):
+        for done, _ in enumerate(write(out, record(simulation, seed)), start=1):
             advance(done)
     typer.echo(printable(f"{total} frames -> {out}"))
 

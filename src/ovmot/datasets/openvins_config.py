@@ -11,8 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration, CalibrationNode, load_calibration_yaml
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.calibration import (
+    Calibration,
+    CalibrationNode,
+    load_calibration_yaml,
+)
 from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
 from ovmot.errors import InputError
 from ovmot.settings import Settings

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
-from ovmot.datasets.pose_files import ns_to_seconds
-from ovmot.datasets.segmentation import Segmentation
+from ovmot.datasets.instance_masks import InstanceImages
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image, IntArray
 from ovmot.types import ImuData, ImuNoise
@@ -55,7 +55,7 @@ class RecordedSequence(ABC):
     frame_number: IntArray
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
-    segmentation: Segmentation | None = None
+    segmentation: InstanceImages | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
@@ -93,7 +93,7 @@ def assemble(
     decode: Decode,
     findings: Findings,
     numbers: IntArray | None = None,
-    segmentation: Segmentation | None = None,
+    segmentation: InstanceImages | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.calibration import Calibration
 from ovmot.odometry import Odometry
 from ovmot.ros.inputs import InputTopic
 from ovmot.ros.intake import Intake
