@@ -21,11 +21,11 @@ import numpy as np
 import pytest
 
 from ovmot.datasets.registry import open_sequence
-from ovmot.evaluate import evaluate_run
 from ovmot.ros.bag_output import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.messages import OBJECTS, ODOMETRY
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
+from ovmot.run_evaluation import evaluate
 from ovmot.settings import Settings
 from ovmot.types import ImuData
 
@@ -203,7 +203,7 @@ def write_run(out: Path, odometry: list[Any], objects: list[Any]) -> None:
 
 def check(live: Path, reference: Path, truth: Path, words: str, what: str) -> None:
     """ATE within 20 %, recall within 0.05."""
-    got, wanted = (evaluate_run(run, truth).scalars() for run in (live, reference))
+    got, wanted = (evaluate(run, truth).scalars() for run in (live, reference))
     print(f"\n{what}: rate {RATE}, load {os.getloadavg()[0]:.1f}")
     print({key: (got[key], wanted[key]) for key in (ATE, RECALL)})
     print(words)

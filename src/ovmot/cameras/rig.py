@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ovmot.cameras.camera import Camera
 from ovmot.errors import CalibrationError
@@ -48,6 +49,19 @@ class StereoRig:
             raise CalibrationError(
                 f"no clock is {self.time_offset_s:g} s off: the time offset between camera and IMU"
             )
+
+    @classmethod
+    def make(
+        cls,
+        cam0: Camera,
+        cam1: Camera,
+        T_imu_cam0: ArrayLike,
+        T_imu_cam1: ArrayLike,
+        time_offset_s: float = 0.0,
+    ) -> "StereoRig":
+        """Build from arrays or nested lists (4, 4); rounding is taken out of their rotations."""
+        left, right = (np.array(T, dtype=np.float64) for T in (T_imu_cam0, T_imu_cam1))
+        return cls(cam0, cam1, left, right, float(time_offset_s)).with_orthonormal_rotations()
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:

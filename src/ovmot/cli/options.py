@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ovmot.datasets.registry import DATASETS
+from ovmot import DATASETS
 
 FormatOption = Annotated[
     str | None, typer.Option(help=f"Kind of data: {', '.join(DATASETS)}; else recognised.")

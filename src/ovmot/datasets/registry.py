@@ -33,6 +33,7 @@ from ovmot.datasets.viode.writer import write_viode
 from ovmot.datasets.writing import Writer
 from ovmot.errors import InputError
 from ovmot.settings import ImuSettings
+from ovmot.text_files import StrPath
 
 
 class Reader(Protocol):
@@ -86,63 +87,88 @@ WRITERS: dict[str, Writer] = {
 
 
 def open_recording(
-    path: Path,
+    path: StrPath,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | Calibration | None = None,
+    calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
 ) -> RecordedSequence:
-    """Describe the sequence in a ROS bag or, as `open_sequence` does, in a folder.
+    """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
-    `topics` are those of a bag, which has neither format nor several sequences.
+    Parameters
+    ----------
+    path
+        The folder of a sequence, or a bag: `.bag`, `.mcap`, `.db3` or the folder of a ROS 2 bag.
+    format
+        A key of `DATASETS`; None to recognise it by what the folder holds.
+    sequence
+        Which one, where the folder holds several.
+    calibration
+        A Kalibr chain (a file, or a folder with one) or a value, in place of the data's own.
+    imu_max_gap_s
+        The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported.
+    topics
+        Those of a bag, where they cannot be found by their types.
+
+    Returns
+    -------
+    RecordedSequence
+        It has `rig` and `imu_noise`; iterated over, it gives IMU samples and stereo frames in an
+        order that `Odometry.add` takes.
+
+    Raises
+    ------
+    InputError
+        Or a child of it: one line with file, row and remedy.
     """
-    bag = bag_at(path)
+    root, given = Path(path), _as_calibration(calibration)
+    bag = bag_at(root)
     if bag is None:
         if topics is not None:
-            _refuse(path, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
-        return open_sequence(path, format, sequence, calibration, imu_max_gap_s)
-    _refuse(path, "is a bag", format=format, sequence=sequence)
-    return read_bag(bag, topics or BagTopics(), calibration, _gap(imu_max_gap_s))
+            _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
+        return open_sequence(root, format, sequence, given, imu_max_gap_s)
+    _refuse(root, "is a bag", format=format, sequence=sequence)
+    return read_bag(bag, topics or BagTopics(), given, _gap(imu_max_gap_s))
 
 
 def open_sequence(
-    path: Path,
+    path: StrPath,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | Calibration | None = None,
+    calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
 ) -> FolderSequence:
-    """Describe the sequence in a folder; no image is decoded.
-
-    `format` is a key of `DATASETS` or None to recognise it; `sequence` chooses where a folder
-    holds several; `calibration`, or a Kalibr chain file or folder with one, is in place of the data
-    set's own; `imu_max_gap_s` is the setting `imu.max_gap_s`.
-    Raises `InputError` and its children, each with file, row and remedy.
-    """
-    if not path.exists():
-        raise InputError.at(path, "no such folder or bag", _GIVE)
-    if not path.is_dir():
-        raise InputError.at(path, "not a folder, and not a bag", _GIVE)
-    given = read_kalibr(calibration) if isinstance(calibration, Path) else calibration
+    """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
+    root = Path(path)
+    if not root.exists():
+        raise InputError.at(root, "no such folder or bag", _GIVE)
+    if not root.is_dir():
+        raise InputError.at(root, "not a folder, and not a bag", _GIVE)
+    chain = _as_calibration(calibration)
+    given = read_kalibr(chain) if isinstance(chain, Path) else chain
     gap = _gap(imu_max_gap_s)
     if format is not None:
         if format not in DATASETS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
-        return DATASETS[format].reader.read(path, sequence, given, gap)
-    kinds = recognise(path)
-    if not kinds and sequence is not None and len(recognise(path / sequence)) == 1:
-        return open_sequence(path / sequence, None, None, given, imu_max_gap_s)
+        return DATASETS[format].reader.read(root, sequence, given, gap)
+    kinds = recognise(root)
+    if not kinds and sequence is not None and len(recognise(root / sequence)) == 1:
+        return open_sequence(root / sequence, None, None, given, imu_max_gap_s)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
-        raise InputError.at(path, what, f"choose with --format. Known: {known}")
-    return DATASETS[kinds[0]].reader.read(path, sequence, given, gap)
+        raise InputError.at(root, what, f"choose with --format. Known: {known}")
+    return DATASETS[kinds[0]].reader.read(root, sequence, given, gap)
 
 
 def recognise(path: Path) -> list[str]:
     """The kinds that a folder looks like."""
     return [kind for kind, data in DATASETS.items() if data.reader.recognise(path)]
+
+
+def _as_calibration(given: StrPath | Calibration | None) -> Path | Calibration | None:
+    return given if given is None or isinstance(given, Calibration) else Path(given)
 
 
 def _gap(given_s: float | None) -> float:

@@ -7,15 +7,10 @@ from pathlib import Path
 
 from rich.table import Table
 
-from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.registry import open_sequence
 from ovmot.datasets.truth import EgoTruth, ObjectTruth, read_ego_truth, read_object_truth
 from ovmot.errors import InputError, OvmotError
-from ovmot.evaluation.calibration import (
-    CalibrationErrors,
-    calibration_errors,
-    calibration_scalars,
-)
+from ovmot.evaluation.calibration import CalibrationErrors, calibration_scalars
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
 from ovmot.evaluation.labels import LabelCounts, count_labels
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, compare_frames
@@ -28,9 +23,10 @@ from ovmot.evaluation.objects import (
 )
 from ovmot.evaluation.stereo_gate import GateCounts, count_gate
 from ovmot.evaluation.trajectory import associate_stamps
+from ovmot.outputs.finished_run import Run
 from ovmot.outputs.run_reader import EgoRun, read_ego_run, read_matches, read_points, read_tracks
 from ovmot.outputs.run_writer import EVALUATION_FILES
-from ovmot.sim.features import FeatureRecording
+from ovmot.text_files import StrPath
 
 _MAX_GAP_NS = 6_000_000
 _METRICS, _ERRORS, _NEES, _MAP = EVALUATION_FILES
@@ -63,17 +59,38 @@ class Evaluation:
         )
 
 
-def evaluate_run(run: Path, truth: Path, criteria: ObjectCriteria | None = None) -> Evaluation:
-    """Measure a run's folder against a sequence's folder with its truth, or a TUM file.
+def evaluate(
+    run: StrPath | Run,
+    truth: StrPath,
+    criteria: ObjectCriteria | None = None,
+) -> Evaluation:
+    """Measure a finished run against the truth; nothing is written.
 
-    Raises `InputError` where one of them is not what it should be, or they have no time in common.
+    Parameters
+    ----------
+    run
+        The folder of a run, or the run itself.
+    truth
+        The folder of a sequence with its truth, or a TUM file of true poses.
+    criteria
+        When an object counts as found; by default those of docs/evaluation.md.
+
+    Raises
+    ------
+    InputError
+        Where one of them is not what it should be, or they have no time in common.
     """
+    return _evaluation(
+        run.folder if isinstance(run, Run) else Path(run), Path(truth), criteria or ObjectCriteria()
+    )
+
+
+def _evaluation(run: Path, truth: Path, wanted: ObjectCriteria) -> Evaluation:
     ego_run, ego_truth = read_ego_run(run), read_ego_truth(truth)
     ego = evaluate_ego(ego_run, ego_truth)
     true_objects = _objects_of(truth)
     if true_objects is None:
         return Evaluation(ego)
-    wanted = criteria or ObjectCriteria()
     frames = _compared(run, ego_run, ego_truth, true_objects, wanted)
     points, matches = read_points(run), read_matches(run)
     labels = None if points is None else count_labels(points, true_objects, wanted)
@@ -84,27 +101,9 @@ def evaluate_run(run: Path, truth: Path, criteria: ObjectCriteria | None = None)
     return Evaluation(ego, frames, objects, labels, gate)
 
 
-def evaluate_features(
-    run: Path, recording: FeatureRecording, initial_rig: StereoRig | None = None
-) -> Evaluation:
-    """Measure the run of a feature-level simulation against the simulation itself.
-
-    `initial_rig`: the calibration that the run was given, where that is not the true one.
-    """
-    truth, rig = recording.truth(), recording.simulation.rig
-    ego_truth = EgoTruth(
-        run, truth.timestamp_ns, truth.T_world_imu, truth.velocity, truth.gyro_bias,
-        truth.accel_bias,
-    )  # fmt: skip
-    return Evaluation(
-        evaluate_ego(read_ego_run(run), ego_truth),
-        calibration=calibration_errors(run, initial_rig or rig, rig),
-    )
-
-
-def write_metrics(run: Path, evaluation: Evaluation) -> None:
+def write_metrics(run: StrPath, evaluation: Evaluation) -> None:
     """Write `metrics.json` into the run, in one step; raises `OvmotError` where it cannot."""
-    path = run / _METRICS
+    path = Path(run) / _METRICS
     partial = path.with_suffix(".json.part")
     text = json.dumps(evaluation.scalars(), indent=2, allow_nan=False) + "\n"
     try:
@@ -116,16 +115,16 @@ def write_metrics(run: Path, evaluation: Evaluation) -> None:
         raise OvmotError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def write_plots(run: Path, evaluation: Evaluation) -> None:
+def write_plots(run: StrPath, evaluation: Evaluation) -> None:
     """Write the errors with their bounds, NEES, and the map; raises `OvmotError`."""
     # matplotlib loads for half a second: no other command shall wait for it
     from ovmot.evaluation.ego_plots import error_figure, nees_figure, save_figure
     from ovmot.evaluation.map_plot import map_figure
 
-    series = evaluation.ego.series
-    save_figure(error_figure(series), run / _ERRORS)
-    save_figure(nees_figure(series), run / _NEES)
-    save_figure(map_figure(series, evaluation.frames), run / _MAP)
+    folder, series = Path(run), evaluation.ego.series
+    save_figure(error_figure(series), folder / _ERRORS)
+    save_figure(nees_figure(series), folder / _NEES)
+    save_figure(map_figure(series, evaluation.frames), folder / _MAP)
 
 
 def metrics_table(evaluation: Evaluation) -> Table:

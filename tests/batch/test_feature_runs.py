@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.batch.feature_runs import run_features
 from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
 from ovmot.evaluation.calibration import calibration_errors, calibration_scalars
@@ -16,7 +17,7 @@ from ovmot.evaluation.consistency import nees, pose_errors
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
 from ovmot.outputs.run_reader import read_ego_run
-from ovmot.run import RunOptions, run_features
+from ovmot.run import RunOptions
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
