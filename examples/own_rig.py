@@ -22,8 +22,9 @@ def my_rig() -> ovmot.StereoRig:
     K = [[230.0, 0.0, 159.5], [0.0, 230.0, 99.5], [0.0, 0.0, 1.0]]
     camera = ovmot.Camera.from_matrix(K, (320, 200), "radtan", [-0.05, 0.01, 0.0, 0.0])
     # a camera has x right, y down, z ahead; T_imu_cam maps its points into the IMU's frame
-    T_imu_cam0 = [[0, 0, 1, 0.1], [-1, 0, 0, 0.25], [0, -1, 0, 0], [0, 0, 0, 1]]
-    T_imu_cam1 = [[0, 0, 1, 0.1], [-1, 0, 0, -0.25], [0, -1, 0, 0], [0, 0, 0, 1]]
+    T_imu_cam0, T_imu_cam1 = np.eye(4), np.eye(4)
+    T_imu_cam0[:3, :3] = T_imu_cam1[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T_imu_cam0[:3, 3], T_imu_cam1[:3, 3] = [0.1, 0.25, 0.0], [0.1, -0.25, 0.0]
     return ovmot.StereoRig.make(camera, camera, T_imu_cam0, T_imu_cam1)
 
 
