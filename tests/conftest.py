@@ -20,6 +20,7 @@ from ovmot.cli import app as cli
 from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.sim.recording import record
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
 from ovmot.types import StereoFrame
@@ -92,7 +93,7 @@ def simulated_street(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str]
         folder = root / scene
         if not folder.exists():
             simulation = make_simulation(load_scene(scene), seed=1, size=(320, 140), duration_s=7.0)
-            for _ in write_kaist(folder, simulation, seed=1):
+            for _ in write_kaist(folder, record(simulation, 1)):
                 pass
         return folder
 

@@ -129,7 +129,8 @@ class Odometry:
     def finish(self) -> list[FrameResult]:
         """Stop the worker threads; return the results that were still awaited, in order.
 
-        Frames that the IMU never covered have none; `dropped` counts them.
+        Frames that the IMU never covered have none; `dropped` counts them. A second call does
+        nothing.
         """
         self.dropped += len(self._waiting)
         self._waiting.clear()
@@ -187,6 +188,11 @@ class Odometry:
         )
         self._watch_health(result.ego)
         return result
+
+    @property
+    def rig(self) -> StereoRig:
+        """The rig as it was given; what is estimated of it is in each result's `ego`."""
+        return self._rig
 
     @property
     def started(self) -> bool:

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from ovmot.errors import InputError, SettingsWarning
 from ovmot.settings import Settings
-from ovmot.text_files import YamlError, parse_yaml, read_yaml
+from ovmot.text_files import StrPath, YamlError, parse_yaml, read_yaml
 
 RENAMED = {
     "split": "segmentation",
@@ -37,14 +37,14 @@ REMOVED = {
 SETTINGS_REMEDY = "list them with 'ovmot settings'"
 
 
-def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
+def load_settings(path: StrPath | None = None, overrides: Sequence[str] = ()) -> Settings:
     """Settings from a YAML file (or none) and `section.key=value` overrides, later ones winning.
 
     Raises `InputError` naming the file or the override, the key, and what is allowed.
     """
     data: dict[str, Any] = {}
     if path is not None:
-        loaded = read_yaml_mapping(path)
+        loaded = read_yaml_mapping(Path(path))
         # a section whose keys are all commented out
         data = {key: {} if value is None else value for key, value in loaded.items()}
     return make_settings(data, overrides, None if path is None else str(path))

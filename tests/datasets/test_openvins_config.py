@@ -12,12 +12,12 @@ import pytest
 import yaml
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.datasets.kalibr_writer import write_chain
+from ovmot.datasets.kalibr import write_chain
 from ovmot.datasets.openvins_config import ALWAYS, PLAIN, WORDS, load_run_config
 from ovmot.datasets.pose_files import Trajectory, interpolate_poses, read_tum
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.truth import read_ego_truth
 from ovmot.errors import CalibrationError, InputError
-from ovmot.evaluation.ego_truth import read_ego_truth
 from ovmot.settings import Settings
 from ovmot.types import ImuNoise
 

@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ovmot.evaluation.ego_truth import read_ego_truth
+from ovmot.datasets.truth import ObjectTruth, TrueObjects, read_ego_truth, read_object_truth
 from ovmot.evaluation.matching import (
     ComparedFrame,
     ObjectCriteria,
     compare_frames,
     tracking_sequence,
 )
-from ovmot.evaluation.object_files import Tracks
-from ovmot.evaluation.object_truth import ObjectTruth, TrueObjects, read_object_truth
 from ovmot.evaluation.tracking import TrackingSequence, clear_mot, hota, identity
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import Tracks
 
 RECORDED = Path(__file__).parent / "data" / "recorded_tracking.json"
 CRITERIA = ObjectCriteria()

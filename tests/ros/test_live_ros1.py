@@ -22,12 +22,13 @@ import pytest
 
 from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.datasets.registry import open_sequence
-from ovmot.evaluate import evaluate_run
+from ovmot.ros.bag_output import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.messages import OBJECTS, ODOMETRY
-from ovmot.ros.sequence_bag import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
+from ovmot.run_evaluation import evaluate
 from ovmot.settings import Settings
+from ovmot.sim.recording import record
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
 from ovmot.types import ImuData
@@ -135,7 +136,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """20 s of traffic at 10 Hz in pictures of 640x280, as a KAIST folder."""
     folder = tmp_path_factory.mktemp("street") / "traffic"
     simulation = make_simulation(load_scene("traffic"), seed=0, size=(640, 280), duration_s=20.0)
-    for _ in write_kaist(folder, simulation, seed=0):
+    for _ in write_kaist(folder, record(simulation, 0)):
         pass
     return folder
 
@@ -210,7 +211,7 @@ def write_run(out: Path, odometry: list[Any], objects: list[Any]) -> None:
 
 def check(live: Path, reference: Path, truth: Path, words: str, what: str) -> None:
     """ATE within 20 %, recall within 0.05."""
-    got, wanted = (evaluate_run(run, truth).scalars() for run in (live, reference))
+    got, wanted = (evaluate(run, truth).scalars() for run in (live, reference))
     print(f"\n{what}: rate {RATE}, load {os.getloadavg()[0]:.1f}")
     print({key: (got[key], wanted[key]) for key in (ATE, RECALL)})
     print(words)
