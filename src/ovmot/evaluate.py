@@ -28,7 +28,14 @@ from ovmot.evaluation.objects import (
 )
 from ovmot.evaluation.stereo_gate import GateCounts, count_gate
 from ovmot.evaluation.trajectory import associate_stamps
-from ovmot.outputs.run_reader import EgoRun, read_ego_run, read_matches, read_points, read_tracks
+from ovmot.outputs.run_reader import (
+    EgoRun,
+    read_calibration,
+    read_ego_run,
+    read_matches,
+    read_points,
+    read_tracks,
+)
 from ovmot.outputs.run_writer import EVALUATION_FILES
 from ovmot.sim.features import FeatureRecording
 
@@ -98,7 +105,7 @@ def evaluate_features(
     )  # fmt: skip
     return Evaluation(
         evaluate_ego(read_ego_run(run), ego_truth),
-        calibration=calibration_errors(run, initial_rig or rig, rig),
+        calibration=calibration_errors(read_calibration(run), initial_rig or rig, rig),
     )
 
 

@@ -103,8 +103,8 @@ def test_the_figures(tmp_path: Path) -> None:
     assert nees.runs == 5
     assert nees.inside
     assert nees.low < 3.0 < nees.high
-    told = json.loads((tmp_path / "summary.json").read_text())
-    assert told["finished"] == 10
+    found = json.loads((tmp_path / "summary.json").read_text())
+    assert found["finished"] == 10
     rows = (tmp_path / "summary.csv").read_text().splitlines()
     assert rows[0] == "sequence,settings,metric,count,mean,median,std,least,greatest"
     assert len(rows) == 1 + len(summary.spreads)

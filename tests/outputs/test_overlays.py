@@ -22,51 +22,51 @@ def images_of(result: FrameResult) -> StereoFrame:
     return result.frame
 
 
-def color_at(picture: Image, u: float, v: float) -> tuple[int, ...]:
-    return tuple(int(c) for c in picture[round(v), round(u)])
+def color_at(image: Image, u: float, v: float) -> tuple[int, ...]:
+    return tuple(int(c) for c in image[round(v), round(u)])
 
 
 def has_color(patch: AnyArray, color: drawing.Color) -> bool:
     return bool(np.any(np.all(patch == np.array(color), axis=-1)))
 
 
-def text_area(picture: Image, u: int, v: int) -> Image:
+def text_area(image: Image, u: int, v: int) -> Image:
     """Where words beside a point are, clear of its dot."""
-    return picture[v - 14 : v - 3, u + 4 : u + 80]
+    return image[v - 14 : v - 3, u + 4 : u + 80]
 
 
 def test_stereo_points_have_their_colours_in_both_images(
     rig: StereoRig, make_result: Maker
 ) -> None:
     result = make_result(0)
-    picture = draw_stereo(images_of(result), result.matches, rig)
-    assert picture.shape == (160, 480, 3)
-    assert color_at(picture, 60, 60) == drawing.BLUE
-    assert color_at(picture, 240 + 100, 70) == drawing.BLUE
-    assert color_at(picture, 200, 130) == drawing.RED
-    assert color_at(picture, 240 + 120, 120) == drawing.RED
+    image = draw_stereo(images_of(result), result.matches, rig)
+    assert image.shape == (160, 480, 3)
+    assert color_at(image, 60, 60) == drawing.BLUE
+    assert color_at(image, 240 + 100, 70) == drawing.BLUE
+    assert color_at(image, 200, 130) == drawing.RED
+    assert color_at(image, 240 + 120, 120) == drawing.RED
     assert drawing.BLUE[0] > 2 * max(drawing.BLUE[1:])
 
 
 def test_stereo_distances_are_green_in_the_right_image(rig: StereoRig, make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_stereo(images_of(result), result.matches, rig)
-    assert has_color(text_area(picture, 240 + 100, 70), drawing.GREEN)
-    assert has_color(text_area(picture, 240 + 120, 120), drawing.GREEN)
-    assert not has_color(picture[20:, :240], drawing.GREEN)
+    image = draw_stereo(images_of(result), result.matches, rig)
+    assert has_color(text_area(image, 240 + 100, 70), drawing.GREEN)
+    assert has_color(text_area(image, 240 + 120, 120), drawing.GREEN)
+    assert not has_color(image[20:, :240], drawing.GREEN)
 
 
 def test_an_outlier_s_line_is_drawn_where_the_geometry_puts_it(
     rig: StereoRig, make_result: Maker
 ) -> None:
     result = make_result(0)
-    picture = draw_stereo(images_of(result), result.matches, rig)
+    image = draw_stereo(images_of(result), result.matches, rig)
     for x in (-0.25, 0.2):  # the refused match has the line y = 0.3, off its point
         u, v = rig.cam1.denormalize(np.array([x, 0.3]))
-        blue, green, red = color_at(picture, 240 + u, v)
+        blue, green, red = color_at(image, 240 + u, v)
         assert red > 150
         assert max(blue, green) < 60
-        assert color_at(picture, 240 + u, v + 4) == color_at(picture, 5, 155)
+        assert color_at(image, 240 + u, v + 4) == color_at(image, 5, 155)
 
 
 def test_epipolar_curves_pass_through_every_depth_of_the_left_point(rig: StereoRig) -> None:
@@ -94,48 +94,48 @@ def test_a_line_without_direction_is_not_drawn() -> None:
 
 def test_dynamic_point_shows_three_positions_and_green_text(make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_dynamic(images_of(result), result.points)
-    assert picture.shape == (160, 240, 3)
-    assert color_at(picture, 40, 70) == drawing.WHITE
-    assert color_at(picture, 60, 60) == drawing.RED
-    assert color_at(picture, 70, 75) == drawing.PINK
-    assert color_at(picture, 50, 65) != color_at(picture, 5, 155)  # the thin line
-    assert has_color(text_area(picture, 60, 60), drawing.GREEN)
-    assert not has_color(text_area(picture, 60, 60), drawing.RED)
+    image = draw_dynamic(images_of(result), result.points)
+    assert image.shape == (160, 240, 3)
+    assert color_at(image, 40, 70) == drawing.WHITE
+    assert color_at(image, 60, 60) == drawing.RED
+    assert color_at(image, 70, 75) == drawing.PINK
+    assert color_at(image, 50, 65) != color_at(image, 5, 155)  # the thin line
+    assert has_color(text_area(image, 60, 60), drawing.GREEN)
+    assert not has_color(text_area(image, 60, 60), drawing.RED)
 
 
 def test_static_point_that_ransac_rejected_has_red_text(make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_dynamic(images_of(result), result.points)
-    assert color_at(picture, 40, 130) == drawing.WHITE
-    assert color_at(picture, 60, 120) == drawing.RED
-    assert color_at(picture, 66, 130) == drawing.PINK
-    assert has_color(text_area(picture, 60, 120), drawing.RED)
-    assert not has_color(text_area(picture, 60, 120), drawing.GREEN)
+    image = draw_dynamic(images_of(result), result.points)
+    assert color_at(image, 40, 130) == drawing.WHITE
+    assert color_at(image, 60, 120) == drawing.RED
+    assert color_at(image, 66, 130) == drawing.PINK
+    assert has_color(text_area(image, 60, 120), drawing.RED)
+    assert not has_color(text_area(image, 60, 120), drawing.GREEN)
 
 
 def test_other_points_are_quiet_dots(make_result: Maker) -> None:
     result = make_result(0)
-    picture = draw_dynamic(images_of(result), result.points)
-    assert color_at(picture, 180, 60) == drawing.GREY
-    assert color_at(picture, 180, 120) == drawing.DARK
-    plain = np.array(color_at(picture, 5, 155))
-    assert np.all(text_area(picture, 180, 60) == plain)
-    assert np.all(text_area(picture, 180, 120) == plain)
+    image = draw_dynamic(images_of(result), result.points)
+    assert color_at(image, 180, 60) == drawing.GREY
+    assert color_at(image, 180, 120) == drawing.DARK
+    plain = np.array(color_at(image, 5, 155))
+    assert np.all(text_area(image, 180, 60) == plain)
+    assert np.all(text_area(image, 180, 120) == plain)
 
 
 def test_static_point_that_was_never_compared_stays_quiet(make_result: Maker) -> None:
     points = make_result(0).points
     nowhere = np.full_like(points.predicted, np.nan)
     label = np.full_like(points.label, PointLabel.STATIC)
-    picture = draw_dynamic(
+    image = draw_dynamic(
         images_of(make_result(0)), replace(points, label=label, previous=nowhere, predicted=nowhere)
     )
-    assert color_at(picture, 60, 120) == drawing.GREY
-    assert not has_color(picture[20:], drawing.RED)
+    assert color_at(image, 60, 120) == drawing.GREY
+    assert not has_color(image[20:], drawing.RED)
 
 
-def test_scale_enlarges_picture_and_positions(rig: StereoRig, make_result: Maker) -> None:
+def test_scale_enlarges_image_and_positions(rig: StereoRig, make_result: Maker) -> None:
     result = make_result(0)
     dynamic = draw_dynamic(images_of(result), result.points, scale=2.0)
     stereo = draw_stereo(images_of(result), result.matches, rig, scale=2.0)
@@ -156,11 +156,11 @@ def test_drawing_leaves_the_input_alone(rig: StereoRig, make_result: Maker) -> N
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
 def test_positions_far_away_are_left_out(make_result: Maker, bad: float) -> None:
     points = make_result(0).points
-    picture = draw_dynamic(
+    image = draw_dynamic(
         images_of(make_result(0)), replace(points, predicted=np.full_like(points.predicted, bad))
     )
-    assert color_at(picture, 60, 60) == drawing.RED
-    assert not has_color(picture[20:], drawing.PINK)
+    assert color_at(image, 60, 60) == drawing.RED
+    assert not has_color(image[20:], drawing.PINK)
 
 
 def test_no_points_at_all(rig: StereoRig, make_result: Maker) -> None:
@@ -169,8 +169,8 @@ def test_no_points_at_all(rig: StereoRig, make_result: Maker) -> None:
         result.matches, feature_id=np.empty(0, np.int64), pixels=np.empty((0, 4)),
         distance_px=np.empty(0), accepted=np.empty(0, np.bool_), line=np.empty((0, 3)),
     )  # fmt: skip
-    picture = draw_stereo(images_of(result), nothing, rig)
-    assert np.all(picture[20:] == picture[-1, -1])
+    image = draw_stereo(images_of(result), nothing, rig)
+    assert np.all(image[20:] == image[-1, -1])
 
 
 def distance_to_polyline(curve: AnyArray, pixel: AnyArray) -> float:

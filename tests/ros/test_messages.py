@@ -30,8 +30,8 @@ def through(version: int, message: Message) -> Any:
 @pytest.mark.parametrize("version", [1, 2])
 def test_both_versions_of_ros_carry_every_message(result: FrameResult, version: int) -> None:
     made = by_topic(result)
-    picture = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
-    overlay = overlay_message(result.timestamp_ns, picture)
+    drawn = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
+    overlay = overlay_message(result.timestamp_ns, drawn)
     read = {topic: through(version, m) for topic, m in made.items()}
     image = through(version, overlay.message)
     assert {**{t: m.type_name for t, m in made.items()}, overlay.topic: "sensor_msgs/Image"} == (
@@ -42,7 +42,7 @@ def test_both_versions_of_ros_carry_every_message(result: FrameResult, version: 
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("world", "imu")
     assert odometry.pose.pose.position.z == 3.0
     assert image.encoding == "bgr8" and image.step == 18
-    assert np.array_equal(image.data.reshape(4, 6, 3), picture)
+    assert np.array_equal(image.data.reshape(4, 6, 3), drawn)
     objects = read[messages.OBJECTS].objects
     assert [(o.id, o.state) for o in objects] == [(7, 1), (8, 2), (9, 0)]
     assert np.isnan(objects[0].yaw_rate) and objects[0].size.x == 4.0

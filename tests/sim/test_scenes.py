@@ -9,7 +9,7 @@ import pytest
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.sim.render import camera_rays, render_picture
+from ovmot.sim.render import camera_rays, render_image
 from ovmot.sim.rides import CAMERA_HEIGHT_M
 from ovmot.sim.scene_file import SCENES, SceneFile, load_scene
 from ovmot.sim.scenes import ORIGIN_NS, make_simulation
@@ -75,8 +75,8 @@ def test_a_seed_repeats_and_two_differ(name: str) -> None:
         simulation = make_simulation(load_scene(name), seed=seed, size=size, duration_s=0.1)
         T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
         rays = camera_rays(simulation.rig.cam0)
-        picture = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS)
-        return np.concatenate([picture.grey.ravel(), simulation.imu.gyro_bias])
+        image = render_image(simulation.scene, rays, T_world_cam, ORIGIN_NS)
+        return np.concatenate([image.grey.ravel(), simulation.imu.gyro_bias])
 
     first = grey(0)
     np.testing.assert_array_equal(first, grey(0))
@@ -108,8 +108,8 @@ def test_a_jam_is_mostly_movers() -> None:
     shares = []
     for time_ns in simulation.camera_ns[::20]:
         T_world_cam = simulation.path.pose(int(time_ns)) @ simulation.rig.T_imu_cam0
-        picture = render_picture(simulation.scene, rays, T_world_cam, int(time_ns))
-        shares.append((picture.object_id > 0).mean())
+        image = render_image(simulation.scene, rays, T_world_cam, int(time_ns))
+        shares.append((image.object_id > 0).mean())
     assert np.mean(shares) > 0.5
     speed = np.linalg.norm(simulation.path.velocity(simulation.camera_ns), axis=-1)
     still = speed < 0.02
@@ -121,7 +121,7 @@ def test_the_night_is_dark() -> None:
     simulation = make_simulation(load_scene("night"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
-    grey = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
+    grey = render_image(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
     assert 28.0 < grey.mean() < 42.0
     assert simulation.optics.noise_grey >= 6.0
 

@@ -20,8 +20,8 @@ from ovmot.types import StereoFrame
 START_NS = 1_700_000_000_000_000_000
 WIDTH, HEIGHT = 32, 24
 IMAGE, COMPRESSED, IMU = "sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/Imu"
-PICTURE = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-Picture = Callable[[int], Message]
+COLOURS = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+ImageMaker = Callable[[int], Message]
 
 _CAMERA = """
   intrinsics: [20.0, 21.0, 16.0, 12.0]
@@ -39,30 +39,32 @@ _CHAIN = f"{_MOUNT.rstrip()}{_CAMERA}cam1:\n  T_cn_cnm1: \
 
 
 def mono(stamp: int) -> Message:
-    return image(stamp, "cam", PICTURE[:, :, 0])
+    return image(stamp, "cam", COLOURS[:, :, 0])
 
 
-def encoded(encoding: str, pixels: np.ndarray, padding: int = 0) -> Picture:
-    """Pictures of an encoding, rows padded by some bytes."""
+def encoded(encoding: str, pixels: np.ndarray, padding: int = 0) -> ImageMaker:
+    """Images of an encoding, rows padded by some bytes."""
     rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(HEIGHT, -1)
     rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
 
-    def picture(stamp: int) -> Message:
+    def make_image(stamp: int) -> Message:
         size: dict[str, Value] = {"height": HEIGHT, "width": WIDTH, "step": rows.shape[1]}
         data = rows.reshape(-1)
         described: dict[str, Value] = {"header": header(stamp, "cam"), "encoding": encoding}
         return Message(IMAGE, {**described, **size, "data": data})
 
-    return picture
+    return make_image
 
 
-def compressed(file_format: str, ending: str = ".png", pixels: np.ndarray = PICTURE) -> Picture:
+def compressed(file_format: str, ending: str = ".png", pixels: np.ndarray = COLOURS) -> ImageMaker:
     data = cv2.imencode(ending, pixels)[1].reshape(-1)
     fields: dict[str, Any] = {"format": file_format, "data": data}
     return lambda stamp: Message(COMPRESSED, {"header": header(stamp, "cam"), **fields})
 
 
-def camera_info(right: bool, version: int = 1, lens: str = "plumb_bob") -> Callable[[int], Message]:
+def camera_info(
+    right: bool, version: int = 1, model: str = "plumb_bob"
+) -> Callable[[int], Message]:
     shift = -20.0 * 0.3 if right else 0.0
     matrices = {
         "D": [-0.1, 0.01, 0.0, 0.0, 0.0],
@@ -73,7 +75,7 @@ def camera_info(right: bool, version: int = 1, lens: str = "plumb_bob") -> Calla
     fields = {
         key if version == 1 else key.lower(): np.array(value) for key, value in matrices.items()
     }
-    size: dict[str, Value] = {"height": HEIGHT, "width": WIDTH, "distortion_model": lens}
+    size: dict[str, Value] = {"height": HEIGHT, "width": WIDTH, "distortion_model": model}
     return lambda stamp: Message(
         "sensor_msgs/CameraInfo", {"header": header(stamp, "cam"), **size, **fields}
     )
@@ -88,7 +90,7 @@ def imu(stamp: int) -> Message:
 
 
 def write_bag(
-    path: Path, cameras: Mapping[str, Picture], imus: tuple[str, ...] = ("/imu",)
+    path: Path, cameras: Mapping[str, ImageMaker], imus: tuple[str, ...] = ("/imu",)
 ) -> Path:
     """Six frames of 10 Hz, and IMUs of 100 Hz around them; recorded a bit after their stamps."""
     with BagWriter(path) as bag:
@@ -97,8 +99,8 @@ def write_bag(
             for topic in imus:
                 bag.write(Published(topic, imu(stamp)), stamp + 1000)
             if tick % 10 == 0:
-                for i, (topic, picture) in enumerate(cameras.items()):
-                    bag.write(Published(topic, picture(stamp)), stamp + 2_000_000 * (i + 1))
+                for i, (topic, make_image) in enumerate(cameras.items()):
+                    bag.write(Published(topic, make_image(stamp)), stamp + 2_000_000 * (i + 1))
     return path
 
 
@@ -121,36 +123,36 @@ def mount(tmp_path: Path) -> Path:
     return path
 
 
-GREY = cv2.cvtColor(PICTURE, cv2.COLOR_BGR2GRAY)
-DEEP = PICTURE[:, :, 0].astype(np.uint16) * 256 + 99
+GREY = cv2.cvtColor(COLOURS, cv2.COLOR_BGR2GRAY)
+DEEP = COLOURS[:, :, 0].astype(np.uint16) * 256 + 99
 
 
 @pytest.mark.parametrize(
-    ("picture", "expected"),
+    ("make_image", "expected"),
     [
-        (encoded("mono8", PICTURE[:, :, 0], padding=5), PICTURE[:, :, 0]),
-        (encoded("mono16", DEEP), PICTURE[:, :, 0]),
-        (encoded("mono16", DEEP, padding=4), PICTURE[:, :, 0]),
-        (encoded("bgr8", PICTURE, padding=1), GREY),
-        (encoded("rgb8", PICTURE[:, :, ::-1]), GREY),
-        (encoded("bgra8", cv2.cvtColor(PICTURE, cv2.COLOR_BGR2BGRA)), GREY),
+        (encoded("mono8", COLOURS[:, :, 0], padding=5), COLOURS[:, :, 0]),
+        (encoded("mono16", DEEP), COLOURS[:, :, 0]),
+        (encoded("mono16", DEEP, padding=4), COLOURS[:, :, 0]),
+        (encoded("bgr8", COLOURS, padding=1), GREY),
+        (encoded("rgb8", COLOURS[:, :, ::-1]), GREY),
+        (encoded("bgra8", cv2.cvtColor(COLOURS, cv2.COLOR_BGR2BGRA)), GREY),
         (compressed("bgr8; png compressed bgr8"), GREY),
-        (compressed("png", pixels=PICTURE[:, :, 0]), PICTURE[:, :, 0]),
+        (compressed("png", pixels=COLOURS[:, :, 0]), COLOURS[:, :, 0]),
     ],
 )
 @pytest.mark.parametrize("ending", [".bag", ".mcap"])
 def test_encodings_become_grey(
-    tmp_path: Path, chain: Path, picture: Picture, expected: np.ndarray, ending: str
+    tmp_path: Path, chain: Path, make_image: ImageMaker, expected: np.ndarray, ending: str
 ) -> None:
-    path = write_bag(tmp_path / f"tiny{ending}", {"/left": picture, "/right": picture})
+    path = write_bag(tmp_path / f"tiny{ending}", {"/left": make_image, "/right": make_image})
     seen = frames(path, chain)
     assert len(seen) == 6
-    for picture_seen in (seen[0].left, seen[5].right):  # libpng rounds colours down
-        assert np.abs(picture_seen.astype(int) - expected).max() <= (expected is GREY)
+    for seen_image in (seen[0].left, seen[5].right):  # libpng rounds colours down
+        assert np.abs(seen_image.astype(int) - expected).max() <= (expected is GREY)
 
 
 def test_jpeg_is_close_and_broken_jpeg_is_an_error(tmp_path: Path, chain: Path) -> None:
-    smooth = cv2.GaussianBlur(PICTURE, (9, 9), 3.0)
+    smooth = cv2.GaussianBlur(COLOURS, (9, 9), 3.0)
     jpeg = compressed("jpeg", ".jpg", smooth)
     path = write_bag(tmp_path / "tiny.bag", {"/left": jpeg, "/right": jpeg})
     difference = frames(path, chain)[0].left.astype(int) - cv2.cvtColor(smooth, cv2.COLOR_BGR2GRAY)
@@ -184,8 +186,8 @@ def test_a_bayer_pattern_is_read_by_its_first_rows(
     png = compressed(f"{encoding}; png compressed ", pixels=mosaic)
     path = write_bag(tmp_path / "tiny.bag", {"/left": encoded(encoding, mosaic), "/right": png})
     frame = frames(path, chain)[0]
-    for picture in (frame.left, frame.right):
-        assert np.abs(picture[4:-4, 4:-4].astype(float) - 0.299 * 255).max() < 2
+    for side in (frame.left, frame.right):
+        assert np.abs(side[4:-4, 4:-4].astype(float) - 0.299 * 255).max() < 2
 
 
 def test_an_unknown_encoding_is_one_line_before_the_run(tmp_path: Path, chain: Path) -> None:
@@ -253,9 +255,9 @@ def test_cameras_are_found_by_type(
 def test_what_is_not_clear_is_asked(
     types: dict[str, str], asked: dict[str, str], complaint: str
 ) -> None:
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as found:
         find_topics(Path("x.bag"), types, BagTopics(**asked))
-    assert complaint in str(told.value)
+    assert complaint in str(found.value)
 
 
 @pytest.mark.parametrize(("name", "version"), [("tiny.bag", 1), ("tiny", 2)])
@@ -287,7 +289,7 @@ def test_rectified_images_see_through_p(tmp_path: Path, mount: Path) -> None:
         "/right/camera_info": camera_info(True),
     }
     rig = open_recording(write_bag(tmp_path / "t.bag", cameras), calibration=mount).rig
-    assert rig.cam1.lens.name == "none"
+    assert rig.cam1.model.name == "none"
     assert rig.cam1.intrinsics[:4] == pytest.approx([20.0, 20.0, 16.0, 12.0])
 
 
@@ -296,17 +298,17 @@ def test_camera_info_without_a_baseline_or_with_an_odd_lens(tmp_path: Path, moun
     alone = write_bag(tmp_path / "alone.bag", {**cameras, "/r/camera_info": camera_info(False)})
     with pytest.raises(CalibrationError, match=r"/r/camera_info\.projection_matrix': P has no"):
         open_recording(alone, calibration=mount)
-    info = camera_info(True, lens="rational_polynomial")
+    info = camera_info(True, model="rational_polynomial")
     odd = write_bag(tmp_path / "odd.bag", {**cameras, "/r/camera_info": info})
-    with pytest.raises(CalibrationError, match="unknown lens model 'rational_polynomial'"):
+    with pytest.raises(CalibrationError, match="unknown camera model 'rational_polynomial'"):
         open_recording(odd, calibration=mount)
 
 
 def test_without_any_calibration_both_ways_are_named(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "tiny.bag", {"/a/left": mono, "/a/right": mono})
-    with pytest.raises(CalibrationError) as told:
+    with pytest.raises(CalibrationError) as found:
         open_recording(path)
-    assert "no CameraInfo beside /a/left and /a/right; give a Kalibr chain" in str(told.value)
+    assert "no CameraInfo beside /a/left and /a/right; give a Kalibr chain" in str(found.value)
 
 
 @pytest.mark.parametrize("name", ["tiny.bag", "tiny.mcap", "tiny"])
@@ -316,9 +318,9 @@ def test_a_truncated_bag_is_one_line_with_a_remedy(tmp_path: Path, chain: Path, 
     data = file.read_bytes()
     for share in (0.0, 0.2, 0.9, 0.999):
         file.write_bytes(data[: int(share * len(data))])
-        with pytest.raises(DatasetError) as told:
+        with pytest.raises(DatasetError) as found:
             frames(path, chain)
-        text = str(told.value)
+        text = str(found.value)
         assert text.startswith(f"{path}: ") and "copy the bag again" in text
         assert "\n" not in text
 
@@ -326,7 +328,7 @@ def test_a_truncated_bag_is_one_line_with_a_remedy(tmp_path: Path, chain: Path, 
 def test_messages_out_of_order_and_frames_without_a_partner(tmp_path: Path, chain: Path) -> None:
     path = tmp_path / "tiny.bag"
     with BagWriter(path) as bag:
-        # one sample is late, one picture has no partner
+        # one sample is late, one image has no partner
         for turn, tick in enumerate((-1, 0, 1, 3, 2, 4, 5, 6)):
             stamp, now = START_NS + tick * 10_000_000, START_NS + turn * 10_000_000
             bag.write(Published("/imu", imu(stamp)), now + 1000)
@@ -342,8 +344,8 @@ def test_messages_out_of_order_and_frames_without_a_partner(tmp_path: Path, chai
 
 
 def test_headers_without_stamps(tmp_path: Path, chain: Path) -> None:
-    unstamped = image(0, "cam", PICTURE[:, :, 0])
-    cameras: dict[str, Picture] = {"/left": lambda _: unstamped, "/right": lambda _: unstamped}
+    unstamped = image(0, "cam", COLOURS[:, :, 0])
+    cameras: dict[str, ImageMaker] = {"/left": lambda _: unstamped, "/right": lambda _: unstamped}
     with pytest.raises(DatasetError, match=r"topic /left: the headers hold no stamps"):
         open_recording(write_bag(tmp_path / "tiny.bag", cameras), calibration=chain)
 
@@ -375,9 +377,9 @@ def test_a_mistake_in_a_bag_ends_the_command_with_2(
     tmp_path: Path, ovmot_command: Callable[..., Any]
 ) -> None:
     path = write_bag(tmp_path / "tiny.bag", {"/a": mono, "/b": mono, "/c": mono})
-    told = ovmot_command("run", path, "-o", tmp_path / "out")
-    assert told.code == 2
-    assert told.complaint.endswith("choose with --left TOPIC --right TOPIC")
+    found = ovmot_command("run", path, "-o", tmp_path / "out")
+    assert found.code == 2
+    assert found.complaint.endswith("choose with --left TOPIC --right TOPIC")
 
 
 @pytest.mark.parametrize(
@@ -387,7 +389,7 @@ def test_left_and_right_may_be_stamped_a_little_apart(
     tmp_path: Path, chain: Path, apart_ns: int, kept: bool
 ) -> None:
     def right(stamp: int) -> Message:
-        return image(stamp + apart_ns, "cam", PICTURE[:, :, 1])
+        return image(stamp + apart_ns, "cam", COLOURS[:, :, 1])
 
     path = write_bag(tmp_path / "tiny.bag", {"/left": mono, "/right": right})
     if not kept:
@@ -396,4 +398,4 @@ def test_left_and_right_may_be_stamped_a_little_apart(
         return
     seen = frames(path, chain)
     assert [f.timestamp_ns for f in seen] == [START_NS + i * 10**8 for i in range(6)]
-    assert all(np.array_equal(f.right, PICTURE[:, :, 1]) for f in seen)
+    assert all(np.array_equal(f.right, COLOURS[:, :, 1]) for f in seen)

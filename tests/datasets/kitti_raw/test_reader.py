@@ -31,7 +31,7 @@ def test_sync_has_rectified_cameras_and_slow_oxts(kitti_raw: Path, inside: bool)
     np.testing.assert_array_equal(sequence.imu.accel[2], [0.1, 0.2, 9.8])
     np.testing.assert_array_equal(sequence.imu.gyro[2], [0.01, 0.02, 0.002])
     rig = sequence.rig
-    assert rig.cam0.lens.name == "none"
+    assert rig.cam0.model.name == "none"
     assert rig.cam0.intrinsics.tolist() == [18.0, 18.0, 16.0, 12.0, 0.0]
     np.testing.assert_allclose(rig.T_cam1_cam0[:3, 3], [-0.5, 0.0, 0.0], atol=1e-12)
     # IMU -> velodyne (-0.8, 0.3, -0.8) -> camera axes: right 0 - 0.3, down 0.8 - 0.1, ahead -1.1
@@ -43,7 +43,7 @@ def test_extract_has_lenses_and_fast_oxts(kitti_raw: Path) -> None:
     assert sequence.imu is not None
     assert (len(sequence), len(sequence.imu)) == (4, 31)
     rig = sequence.rig
-    assert rig.cam0.lens.name == "radtan"
+    assert rig.cam0.model.name == "radtan"
     assert rig.cam0.intrinsics.tolist() == [20.0, 21.0, 16.0, 12.0, 0.0]
     assert rig.cam1.distortion.tolist() == [-0.3, 0.1, 0.001, -0.002, 0.01]
     np.testing.assert_allclose(rig.T_cam1_cam0[:3, 3], [-0.5, 0.0, 0.0], atol=1e-12)
@@ -86,9 +86,9 @@ def test_files_of_a_drive_that_was_copied_alone(kitti_raw: Path) -> None:
 
 def test_the_size_tells_the_form_where_the_name_does_not(kitti_raw: Path, edit: Edit) -> None:
     drive = (kitti_raw / SYNC).rename(kitti_raw / "2011_09_26_drive_0001")
-    assert open_sequence(drive).rig.cam0.lens.name == "none"
+    assert open_sequence(drive).rig.cam0.model.name == "none"
     edit(kitti_raw / "calib_cam_to_cam.txt", "S_rect_00: 32", "S_rect_00: 30")
-    assert open_sequence(drive).rig.cam0.lens.name == "radtan"
+    assert open_sequence(drive).rig.cam0.model.name == "radtan"
     edit(kitti_raw / "calib_cam_to_cam.txt", "S_01: 32", "S_01: 40")
     with pytest.raises(CalibrationError, match="'S_01': 40x24, but the images are 32x24"):
         open_sequence(drive)
