@@ -15,7 +15,7 @@ from ovmot.evaluation.calibration import calibration_errors, calibration_scalars
 from ovmot.evaluation.consistency import nees, pose_errors
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
-from ovmot.outputs.run_reader import read_ego_run
+from ovmot.outputs.run_reader import read_calibration, read_ego_run
 from ovmot.run import RunOptions, run_features
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings

@@ -14,11 +14,8 @@ from rosbags.highlevel import AnyReader
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets import open_recording
 from ovmot.datasets.stream import events
-from ovmot.errors import InputError, OvmotError
 from ovmot.ros import messages
 from ovmot.ros.bag_output import BagOutput, write_sequence_bag
-from ovmot.ros.bag_writer import BagWriter
-from ovmot.ros.values import Published
 from ovmot.run import RunOptions, run_sequence
 from ovmot.settings import Settings
 from ovmot.types import FrameResult, ImuSample, StereoFrame
@@ -62,42 +59,6 @@ def test_without_the_video_there_is_no_overlay(
 ) -> None:
     write(tmp_path / "out.bag", painted_rig, result)
     assert messages.OVERLAY not in topics_in(tmp_path / "out.bag")
-
-
-@pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
-def test_a_bag_is_replaced_only_when_asked(
-    tmp_path: Path, painted_rig: StereoRig, result: FrameResult, name: str
-) -> None:
-    path = tmp_path / name
-    write(path, painted_rig, result)
-    with pytest.raises(InputError, match="already there; replace it with --force"):
-        BagWriter(path)
-    write(path, painted_rig, result, replace=True)
-    assert topics_in(path)[messages.ODOMETRY] == 3
-
-
-def test_a_folder_that_is_no_bag_stays(tmp_path: Path) -> None:
-    precious = tmp_path / "out" / "precious"
-    precious.mkdir(parents=True)
-    with pytest.raises(InputError, match="no bag"):
-        BagWriter(tmp_path / "out", replace=True)
-    assert precious.is_dir()
-
-
-def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"end it in \.bag"):
-        BagWriter(tmp_path / "out.db4")
-
-
-def test_a_closed_bag_takes_no_more(tmp_path: Path, result: FrameResult) -> None:
-    odometry = Published(messages.ODOMETRY, messages.odometry(result.ego, messages.FrameNames()))
-    bag = BagWriter(tmp_path / "out.bag")
-    bag.write(odometry, result.timestamp_ns)
-    bag.close()
-    bag.close()
-    with pytest.raises(OvmotError, match=r"out\.bag: cannot write any further"):
-        bag.write(odometry, result.timestamp_ns)
-    assert np.sum(list(topics_in(tmp_path / "out.bag").values())) == 1
 
 
 def test_run_writes_a_bag_beside_its_folder(

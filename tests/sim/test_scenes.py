@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outline_checks import apart, corners
 
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
@@ -18,26 +19,6 @@ from ovmot.sim.simulation import Simulation
 SMALL = (160, 70)
 
 
-def corners(center: FloatArray, yaw: float, size: FloatArray) -> FloatArray:
-    """Four corners (4, 2) of a body's rectangle on the ground."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    half = 0.5 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size[:2]
-    return np.asarray(center[:2] + half @ np.array([[c, s], [-s, c]]))
-
-
-def apart(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two convex outlines (4, 2) have a line between them that is a side of one."""
-    if np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) > 10.0:  # no mover is longer than 8 m
-        return True
-    for p, q in ((a, b), (b, a)):
-        for i in range(4):
-            side = p[(i + 1) % 4] - p[i]
-            outward = np.array([-side[1], side[0]])
-            if ((q - p[i]) @ outward).min() > 0.0:
-                return True
-    return False
-
-
 def outlines(simulation: Simulation, time_ns: int) -> dict[str, FloatArray]:
     T = simulation.path.pose(time_ns) @ se3.inverse(simulation.T_vehicle_imu)
     rig_yaw = float(np.arctan2(T[1, 0], T[0, 0]))
@@ -46,15 +27,6 @@ def outlines(simulation: Simulation, time_ns: int) -> dict[str, FloatArray]:
         state = mover.state(time_ns)
         found[f"{mover.category} {mover.object_id}"] = corners(state.center, state.yaw, state.size)
     return found
-
-
-def test_outlines_are_told_apart() -> None:
-    square = corners(np.zeros(2), 0.0, np.array([2.0, 2.0]))
-    assert apart(square, square + np.array([2.1, 0.0]))
-    assert not apart(square, square + np.array([1.9, 1.9]))
-    turned = corners(np.array([2.3, 0.0]), 0.25 * np.pi, np.array([2.0, 2.0]))
-    assert not apart(square, turned)
-    assert apart(square, turned + np.array([0.2, 0.0]))
 
 
 @pytest.mark.parametrize("name", SCENES)
