@@ -1,6 +1,6 @@
 """Where jobs are done: processes of this machine, or the workers of a Dask cluster.
 
-Both go on when a worker dies: what it had finished stays, and the job it was at is tried again.
+Both go on when a worker dies: finished jobs are kept, and the job it worked on is tried again.
 """
 
 import multiprocessing

@@ -16,7 +16,7 @@ class Camera:
     """A calibrated camera.
 
     `intrinsics` (5,) is fx, fy, cx, cy, skew in pixels: u = fx·x + skew·y + cx, v = fy·y + cy,
-    where (x, y) are distorted normalised coordinates. `distortion` (k,) belongs to `model`.
+    where (x, y) are distorted normalized coordinates. `distortion` (k,) belongs to `model`.
     Raises `CalibrationError` when these can not be a camera's.
     """
 
@@ -80,14 +80,14 @@ class Camera:
         return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def normalize(self, pixels: FloatArray) -> FloatArray:
-        """Undistorted plane coordinates (..., 2) of pixels (..., 2); NaN in, NaN out."""
+        """Undistorted normalized coordinates (..., 2) of pixels (..., 2); NaN in, NaN out."""
         fx, fy, cx, cy, skew = self.intrinsics
         y = (pixels[..., 1] - cy) / fy
         x = (pixels[..., 0] - cx - skew * y) / fx
         return self.model.undistort(np.stack([x, y], axis=-1), self.distortion)
 
     def denormalize(self, xy: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of undistorted plane coordinates (..., 2)."""
+        """Pixels (..., 2) of undistorted normalized coordinates (..., 2)."""
         fx, fy, cx, cy, skew = self.intrinsics
         d = self.model.distort(xy, self.distortion)
         return np.stack([fx * d[..., 0] + skew * d[..., 1] + cx, fy * d[..., 1] + cy], axis=-1)

@@ -1,4 +1,4 @@
-"""Masks: parts of the images that nothing is to be taken from, such as the bonnet or the sky.
+"""Masks: parts of the images in which no features are taken, such as the bonnet or the sky.
 
 A folder holds `cam0.png` and `cam1.png`, the same for all frames, or folders `cam0` and `cam1` with
 `<stamp in ns>.png` for single frames, or both; each is optional. Pixels that are not zero are

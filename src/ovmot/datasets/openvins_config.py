@@ -196,7 +196,7 @@ def _integration(data: Mapping[str, Any]) -> _Mapped:
 
 
 def _start(data: Mapping[str, Any]) -> _Mapped:
-    """The window is that of a start in motion where OpenVINS would try one."""
+    """The window is that of dynamic initialization where OpenVINS would try it."""
     if "init_window_time" not in data:
         return {}, set()
     name = "motion_window_s" if data.get("init_dyn_use") else "window_s"

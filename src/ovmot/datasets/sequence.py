@@ -1,4 +1,4 @@
-"""A recorded sequence, described: everything known of it before the first image is decoded."""
+"""The description of a recorded sequence: all that is known before an image is decoded."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping

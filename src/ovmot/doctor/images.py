@@ -9,7 +9,7 @@ from ovmot.doctor.report import Finding, Severity
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.types import StereoFrame
 
-_STEP = 4  # every fourth pixel of every fourth row tells as much
+_STEP = 4  # every fourth pixel of every fourth row is enough
 _LOW_RANGE, _NO_RANGE = 40.0, 8.0  # grey levels: a gain of 4 is the most the front end gives
 _BRIGHT_SHARE, _DARK_SHARE, _LOST_SHARE = 0.15, 0.3, 0.6
 _UNEVEN = 1.5

@@ -1,4 +1,4 @@
-"""Where each kind of data keeps what a remedy asks to change."""
+"""The files and keys of each kind of data, as the remedies name them."""
 
 from dataclasses import dataclass
 

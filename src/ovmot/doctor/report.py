@@ -13,7 +13,7 @@ from ovmot.errors import InputError
 
 
 class Severity(StrEnum):
-    """How bad it is; `unknown` where the data does not hold what a check needs."""
+    """How serious a finding is; `unknown` where the data does not allow the check."""
 
     WRONG = "wrong"
     DOUBTFUL = "doubtful"

@@ -127,7 +127,7 @@ def check_stereo(
     extrinsics = _extrinsics(given, turned, locations)
     fine = extrinsics.severity is Severity.FINE
     best, fit = (rig, given) if fine else (turned.rig, turned.fit)
-    return [extrinsics, _lens(pixels, best, fit, locations)], best
+    return [extrinsics, _model_finding(pixels, best, fit, locations)], best
 
 
 def alternatives(rig: StereoRig) -> dict[str, StereoRig]:
@@ -151,7 +151,7 @@ def _other_models(rig: StereoRig) -> dict[str, StereoRig]:
         cameras = [_with_model(c, other[c.model.name]) for c in rig.cameras]
     except (KeyError, CalibrationError):
         return {}
-    return {"lens": replace(rig, cam0=cameras[0], cam1=cameras[1])}
+    return {"model": replace(rig, cam0=cameras[0], cam1=cameras[1])}
 
 
 def _with_model(camera: Camera, name: str) -> Camera:
@@ -260,12 +260,12 @@ def _extrinsics(given: Fit, turned: TurnedRig, locations: Locations) -> Finding:
     return Finding("extrinsics", Severity.FINE, says)
 
 
-def _lens(pixels: FloatArray, rig: StereoRig, fit: Fit, locations: Locations) -> Finding:
+def _model_finding(pixels: FloatArray, rig: StereoRig, fit: Fit, locations: Locations) -> Finding:
     """Whether distances to the epipolar lines grow outwards, as under a wrong camera model."""
     inner, outer = by_radius(pixels, fit, rig)
     says = f"epipolar distances are {inner:.2g} px in the middle and {outer:.2g} px outside"
     if outer > max(2.0 * inner, _GATE_PX):
-        remedy = f"calibrate the lenses again, or correct {locations.camera_model}"
+        remedy = f"calibrate the cameras again, or correct {locations.camera_model}"
         return Finding("camera model", Severity.DOUBTFUL, f"{says}: they grow", remedy)
     return Finding("camera model", Severity.FINE, says)
 

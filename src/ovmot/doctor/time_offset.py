@@ -3,7 +3,7 @@
 Over each pair of frames the left camera's rotation rate c is compared with the gyroscope's mean
 rate g(lag), taken `lag` later. They should differ by the rotation between camera and IMU only; but
 c = B g(lag) + b is fitted with any matrix B, for every lag, so that a wrong unit, sign or rotation
-does not hide the lag. The lag is where the fit is best; B then tells the rest.
+does not hide the lag. The lag is where the fit is best; unit and axes then follow from B.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Checks of the stamps: rates, jitter, holes, frames that are not there."""
+"""Checks of the stamps: rates, jitter, gaps, missing frames."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""Is the calibration found? What was estimated online against the true rig of a simulation."""
+"""Errors of the online calibration against the true rig of a simulation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,11 +34,11 @@ def true_deviations(prior: StereoRig, true: StereoRig) -> dict[str, float]:
     )  # fmt: skip
     for k, (T, T_true, camera, right) in enumerate(rigs):
         pose = (*so3.log(T[:3, :3].T @ T_true[:3, :3]), *(T_true[:3, 3] - T[:3, 3]))
-        lens = right.intrinsics[:4] - camera.intrinsics[:4]
-        bent = right.distortion - camera.distortion
-        of_lens = (*_FOCAL, *_CENTER, *(f"d{i}" for i in range(len(bent))))
+        intrinsics = right.intrinsics[:4] - camera.intrinsics[:4]
+        distortion = right.distortion - camera.distortion
+        lens_columns = (*_FOCAL, *_CENTER, *(f"d{i}" for i in range(len(distortion))))
         out |= _named(f"cam{k}_pose_", (*_ROTATION, *_POSITION), pose)
-        out |= _named(f"cam{k}_lens_", of_lens, (*lens, *bent))
+        out |= _named(f"cam{k}_lens_", lens_columns, (*intrinsics, *distortion))
     return out
 
 

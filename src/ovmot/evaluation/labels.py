@@ -1,4 +1,4 @@
-"""Are the right points called dynamic? Labels against the image of object ids."""
+"""Labels of points against the image of object ids: precision and recall of `dynamic`."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,8 @@ _EDGE = np.ones((7, 7), dtype=np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class LabelCounts:
-    """Points called dynamic that move (`hits`) or rest (`false`), and called static likewise."""
+    """Points labelled dynamic that move (`hits`) or rest (`false`), and points labelled static that
+    move (`missed`) or rest (`kept`)."""
 
     hits: int
     false: int

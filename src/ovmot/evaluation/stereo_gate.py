@@ -1,4 +1,4 @@
-"""Does the stereo gate refuse the wrong matches? Tested matches against the true depth."""
+"""Verdicts of the stereo gate against the true depth: precision and recall of accepted matches."""
 
 from dataclasses import dataclass
 

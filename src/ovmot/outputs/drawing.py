@@ -1,4 +1,5 @@
-"""Strokes that both overlays are made of. Images are (height, width, 3), blue-green-red.
+"""Lines, dots and text that the overlays are made of. Images are (height, width, 3),
+blue-green-red.
 
 Positions are pixels of the original image, (N, 2); `scale` is how much larger the image is.
 A position that is not finite, or far outside, is left out. Images are drawn on in place: they
@@ -88,9 +89,8 @@ def texts(
         width = cv2.getTextSize(word, _FONT, _FONT_SCALE, 1)[0][0]
         left = u + 4 if u + 4 + width < image.shape[1] else u - 4 - width
         place = (int(left), int(v) - 4)
-        cv2.putText(
-            image, word, place, _FONT, _FONT_SCALE, BLACK, 2
-        )  # a dark outline, to be legible
+        # a dark outline, to be legible
+        cv2.putText(image, word, place, _FONT, _FONT_SCALE, BLACK, 2)
         cv2.putText(image, word, place, _FONT, _FONT_SCALE, color, 1)
 
 
@@ -101,9 +101,9 @@ def rectangle(image: Image, box: FloatArray, color: Color, scale: float = 1.0) -
 
 
 def label(image: Image, corner: FloatArray, word: str, color: Color, scale: float = 1.0) -> None:
-    """A word in black on a plate of a colour, whose lower left corner is at a pixel (2,).
+    """A word in black on a coloured background whose lower left corner is at a pixel (2,).
 
-    It is moved as far as the image needs it; nothing where the pixel is not drawable.
+    It is moved to lie within the image; nothing is drawn where the pixel is not drawable.
     """
     if not drawable(corner):
         return

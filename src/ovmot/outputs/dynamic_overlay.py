@@ -1,4 +1,4 @@
-"""Image of the split: which points the ego motion explains, and which move."""
+"""Overlay of the segmentation: which points the ego motion explains, and which move."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ovmot.types import PointLabel, ScenePoints, StereoFrame
 
 
 def draw_dynamic(frame: StereoFrame, points: ScenePoints, scale: float = 1.0) -> Image:
-    """The left image with the split's verdict on every point (BGR).
+    """The left image with the segmentation's label of every point (BGR).
 
     Dynamic points, and static ones that the two-view test had rejected, show the previous
     observation white, the current one red and the prediction pink, joined by thin lines; their

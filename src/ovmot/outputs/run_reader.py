@@ -30,7 +30,8 @@ REMEDY = "run it again, or give another run"
 
 @dataclass(frozen=True, slots=True)
 class EgoRun:
-    """Poses `T_world_imu` (N, 4, 4) of a run at rising stamps (N,), and what it knows with them.
+    """Poses `T_world_imu` (N, 4, 4) of a run at rising stamps (N,), and the state and its
+    uncertainty.
 
     `velocity` (N, 3) in m/s in the world, `gyro_bias` and `accel_bias` (N, 3); `sigma` (N, 15)
     over rotation (right perturbation), position, velocity and the two biases; `covariance`
@@ -49,9 +50,11 @@ class EgoRun:
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Rows (M,) of confirmed tracks, in the run's world: SI units, one row per track and frame.
+    """Rows (M,) of confirmed tracks in the run's world, one per track and frame; SI units.
 
-    `std` (M, 6): one-sigma of position and velocity.
+    `position`, `velocity` and `size` (M, 3), size as length, width, height; `yaw` and `yaw_rate`
+    (M,); `std` (M, 6): standard deviation of position and velocity. `timestamp_ns`, `track_id`
+    (M,).
     """
 
     timestamp_ns: IntArray
@@ -87,7 +90,9 @@ class LabelledPoints:
 
 @dataclass(frozen=True, slots=True)
 class GatedMatches:
-    """Rows (M,) of `stereo.csv`: pixels (M, 4) of both images, and the gate's verdict."""
+    """Rows (M,) of `stereo.csv`: pixels (M, 4) of both images, and whether the gate accepted the
+    match.
+    """
 
     timestamp_ns: IntArray
     pixels: FloatArray
@@ -119,7 +124,7 @@ class Table:
 
 
 def read_ego_run(run: Path) -> EgoRun:
-    """The poses of a run's folder, with `state.csv` and `covariance.csv` where they are there.
+    """The poses of a run's folder, with `state.csv` and `covariance.csv` where the run has them.
 
     Raises `InputError` for a folder that is no run and for files that cannot be used.
     """
@@ -193,7 +198,7 @@ def read_matches(run: Path) -> GatedMatches | None:
 def read_calibration(run: Path) -> CalibrationDeviations | None:
     """The online calibration of a run, None where it estimated none; raises `InputError`.
 
-    The clock, which has no sigma where it is held, counts where it is estimated.
+    The time offset is included where it was estimated: where it has a standard deviation.
     """
     path = run / "calibration.csv"
     if not path.is_file() or path.stat().st_size == 0:

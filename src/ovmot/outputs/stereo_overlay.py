@@ -1,4 +1,4 @@
-"""Image of the stereo gate: which matches the extrinsics accept, and their epipolar lines."""
+"""Overlay of the stereo gate: which matches the extrinsics accept, and their epipolar lines."""
 
 import numpy as np
 

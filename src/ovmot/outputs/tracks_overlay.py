@@ -1,4 +1,4 @@
-"""The tracked bodies in an image: 2-D and 3-D box, id, speed, and the way they came."""
+"""Overlay of the tracks: 2-D and 3-D box, id, speed and past path of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ _FRONT = np.array([(4, 7), (5, 6)])  # a cross on the side that the body moves t
 
 @dataclass(frozen=True, slots=True)
 class Trails:
-    """Where the confirmed tracks of the last seconds were: times (ns) and positions in the world.
+    """Past positions of the confirmed tracks: times (ns) and positions in the world, last seconds.
 
     `segment` is the run's: positions before a restart belong to another world.
     """

@@ -32,7 +32,7 @@ _OPTIONS = {"preset": "superfast", "crf": "23"}
 def compose(result: FrameResult, rig: StereoRig, trails: Trails = Trails()) -> Image:  # noqa: B008 - frozen
     """One image of even size (BGR): the stereo overlay, below it the dynamic one as wide.
 
-    The latter holds the confirmed tracks and the ways they came, `trails`.
+    The latter also shows the confirmed tracks and their past paths, `trails`.
 
     It is twice as wide as an image, but no wider than 1920 pixels. Raises `OvmotError` for a frame
     without images.
@@ -56,7 +56,8 @@ def compose(result: FrameResult, rig: StereoRig, trails: Trails = Trails()) -> I
 
 
 class OverlayVideo:
-    """Draws and encodes results in a thread of its own; `write` waits only when that one lags.
+    """Draws and encodes results in a thread of its own; `write` waits only where that thread is
+    behind.
 
     What goes wrong there is raised by the next `write`, or by `close`. A run without frames
     leaves no file.

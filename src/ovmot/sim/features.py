@@ -1,7 +1,7 @@
 """Feature-level simulation: points along a path, seen as pixels with ids, and IMU samples.
 
-No images: what a perfect tracker would give, with noise and wrong stereo matches as asked. Points
-are made where the rig comes to see too few of them and stay where they are, as in OpenVINS's
+No images: the output of a perfect tracker, with pixel noise and wrong stereo matches as asked for.
+Points are made where the rig comes to see too few of them and stay where they are, as in OpenVINS's
 simulator (P. Geneva et al., "OpenVINS", ICRA 2020).
 """
 
@@ -130,7 +130,7 @@ class FeatureRecording:
             yield world.observe(time_ns)
 
     def events(self) -> Generator[Event, None, None]:
-        """IMU samples and frames as the pipeline takes them, by their time on the IMU's clock."""
+        """IMU samples and frames for the odometry, in order of time on the IMU's clock."""
         data = self.imu.data
         offset_ns = round(1e9 * self.simulation.rig.time_offset_s)
         i = 0
@@ -163,7 +163,7 @@ class FeatureRecording:
 
 
 class _World:
-    """The points made so far, and which were seen in the last frame, under which id.
+    """The points made so far, and the ids of those that were seen in the last frame.
 
     A point's index is its place in the map; those of bodies count down from -1.
     """

@@ -1,4 +1,4 @@
-"""What lens, shutter and exposure control do to images, each as a function of its own."""
+"""Effects of lens, shutter and exposure control on images, one function each."""
 
 import cv2
 import numpy as np

@@ -1,8 +1,8 @@
 """The compiled ray caster: one ray a pixel against ground and boxes, four at surfaces' edges.
 
-Alone in its file with all it calls, since compiled code is kept on disk under a hash of this file
-(`kernel_cache`); compiling takes some seconds. It holds no Python lock. tests/sim/test_kernel.py
-holds its plain NumPy twin.
+It stands in one file with all it calls, since compiled code is kept on disk under a hash of this
+file (`ovmot.kernels.cache`); compiling takes some seconds. It holds no Python lock.
+tests/sim/test_render_kernel.py holds its plain NumPy twin.
 """
 
 import math

@@ -19,7 +19,7 @@ class CameraModel(Protocol):
     n_coefficients: tuple[int, ...]
 
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
-        """Distorted plane coordinates (..., 2) of ideal ones (..., 2)."""
+        """Distorted normalized coordinates (..., 2) of undistorted ones (..., 2)."""
         ...
 
     def distort_jacobian(
@@ -29,7 +29,7 @@ class CameraModel(Protocol):
         ...
 
     def undistort(self, xy_distorted: FloatArray, coefficients: FloatArray) -> FloatArray:
-        """Ideal plane coordinates (..., 2) of distorted ones; NaN where the model has none.
+        """Undistorted normalized coordinates (..., 2) of distorted ones; NaN where there are none.
 
         Past the radius at which a model folds back there is no point: real images do not fold.
         """

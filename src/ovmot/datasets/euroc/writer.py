@@ -1,7 +1,7 @@
-"""Writes a simulation as a EuRoC/ASL folder (`mav0`), with its truth beside it.
+"""Writes a sequence as a EuRoC/ASL folder (`mav0`), with its truth beside it.
 
 Layout: M. Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016. `mav0` holds the true
-states in `state_groundtruth_estimate0`, `truth/` beside it what `sequence_files` lists.
+states in `state_groundtruth_estimate0`, `truth/` beside it the files of `ovmot.datasets.truth`.
 """
 
 from collections.abc import Iterator
@@ -43,9 +43,9 @@ _STATES_HEADER = (
 
 
 def write_asl(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence; yields each frame's time in ns when it is on disk.
+    """Write the sequence; yields each frame's time in ns when it is on disk.
 
-    `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
+    The same sequence gives the same bytes.
     `truth/objects.json` comes last, so an interrupted sequence has none. The format has no place
     for a time offset between camera and IMU: it is in the stamps, and in `truth/imu_errors.yaml`.
     Raises `InputError` where the folder is not empty or not writable, or where a camera has what

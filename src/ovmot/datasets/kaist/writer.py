@@ -1,7 +1,7 @@
-"""Writes a simulation as a KAIST Complex Urban folder, with its truth beside it.
+"""Writes a sequence as a KAIST Complex Urban folder, with its truth beside it.
 
 Layout: J. Jeong et al., "Complex Urban Dataset with Multi-level Sensors", IJRR 2019. `truth/` holds
-`poses.csv` (ns, IMU position, quaternion w x y z) and what `sequence_files` lists.
+`poses.csv` (ns, IMU position, quaternion w x y z) and the files of `ovmot.datasets.truth`.
 """
 
 from collections.abc import Iterator
@@ -41,13 +41,13 @@ class _RectifiedPair:
 
 
 def write_kaist(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence; yields each frame's time in ns when it is on disk.
+    """Write the sequence; yields each frame's time in ns when it is on disk.
 
-    `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
+    The same sequence gives the same bytes.
     `truth/objects.json` comes last, so an interrupted sequence has none. The format has no place
     for a time offset between camera and IMU: it is in the stamps, and in `truth/imu_errors.yaml`.
-    Raises `InputError` where the folder is not empty or not writable, or where the rig's lenses
-    are not the radial-tangential ones that KAIST files hold.
+    Raises `InputError` where the folder is not empty or not writable, or where the rig's camera
+    model is not radial-tangential, the only one that KAIST files hold.
     """
     for camera in sequence.rig.cameras:
         if camera.model.name != "radtan":

@@ -1,4 +1,4 @@
-"""Writes a simulation as a KITTI raw drive, `sync` or `extract`, with its truth beside it.
+"""Writes a sequence as a KITTI raw drive, `sync` or `extract`, with its truth beside it.
 
 Layout: A. Geiger et al., "Vision meets robotics: The KITTI dataset", IJRR 2013. The two differ as
 the data set's do: `extract` has the rig's own images and all IMU samples; `sync` rectified
@@ -32,7 +32,7 @@ _FIELDS, _ACCEL, _GYRO = 30, slice(11, 14), slice(17, 20)
 
 
 def write_kitti_sync(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write a `_sync` drive into the folder of its date, as `write_asl`.
+    """Write a `_sync` drive into the folder of its date, as `write_asl`.
 
     Raises `InputError` for another camera model than `radtan`, and where the folder is not empty or
     not writable. The format has no place for a time offset.

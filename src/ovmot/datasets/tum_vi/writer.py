@@ -1,7 +1,7 @@
-"""Writes a simulation as a TUM-VI folder (`mav0` and `dso`), with its truth beside it.
+"""Writes a sequence as a TUM-VI folder (`mav0` and `dso`), with its truth beside it.
 
 Layout: D. Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS
-2018. Images are PNGs of 16 bits. Lenses are the rig's own; the data set's are equidistant.
+2018. Images are PNGs of 16 bits. Camera models are the rig's own; the data set's are equidistant.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ _CAMERAS = ("cam0", "cam1")
 
 
 def write_tum_vi(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence, as `write_asl`; the time offset is in `camchain.yaml`.
+    """Write the sequence, as `write_asl`; the time offset is in `camchain.yaml`.
 
     Raises `InputError` where the folder is not empty or not writable, or for cameras with skew.
     """
