@@ -1,6 +1,6 @@
-"""What has come in and not been worked on: the one thing that callbacks and worker share.
+"""Received data that waits to be processed: the only object that callbacks and worker share.
 
-Callbacks put, the worker takes; both only for moments. Here it is decided what is dropped: whole
+Callbacks put, the worker takes; neither blocks for long. What is dropped is decided here: whole
 frames, the oldest first, so that the lag is bounded on a machine that is too slow. A frame that
 waits for a silent IMU is no such lag: it is held, and what was held is worked off bit by bit.
 """
@@ -98,7 +98,7 @@ class Intake:
                 self._changed.notify()
 
     def restart(self, why: str) -> None:
-        """Forget everything that waits; the worker begins again."""
+        """Drop everything that waits; the worker starts anew."""
         with self._changed:
             self._begin_again(why)
             self._changed.notify()
