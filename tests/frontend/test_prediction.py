@@ -99,7 +99,7 @@ def test_with_too_few_known_depths_the_default_is_taken() -> None:
     assert fill_depths(uv[:0], depth[:0], 12.0).shape == (0,)
 
 
-def test_only_flow_that_is_not_the_camera_s_is_carried_on() -> None:
+def test_only_flow_that_is_not_the_camera_s_is_predicted() -> None:
     at_rest = np.zeros((4, 2))
     found = np.array([[3.0, 4.0], [3.0, 4.0], [500.0, 0.0], [np.nan, 1.0]])
     explained = np.array([True, False, False, False])

@@ -1,4 +1,4 @@
-"""New corners: FAST over the whole image, spread by a grid."""
+"""New corners: FAST over the whole image, spread by a grid, denser where something may move."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,18 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ovmot.cameras.camera import Camera
+from ovmot.frontend.preprocessing import inside_mask
 from ovmot.frontend.spread_kernel import take_apart_compiled
-from ovmot.geometry.arrays import FloatArray, Image, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.settings import TrackerSettings
+from ovmot.types import PointLabel, ScenePoints
 
 _BORDER_PX = 8
 _CELL_EXCESS = 2  # times its even share that a cell may fill: sky leaves others empty
+_UNLIMITED = 100_000
+_LEAST_RADIUS_PX = 8.0
+_NEAR_RADIUS_PX = 64.0  # a body as large as this has features enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +30,38 @@ class Spread:
     per_cell: int
 
 
+def new_corners(
+    image: Image,
+    mask: Image | None,
+    existing: FloatArray,
+    focus: Image | None,
+    settings: TrackerSettings,
+) -> FloatArray:
+    """New corners (M, 2), pixels, beside the `existing` features (N, 2).
+
+    Over the image (height, width) evenly, up to `max_features`; one in every fine cell without a
+    feature; and up to `focus_features` densely where `focus` (height, width) is not zero. None
+    where `mask` (height, width) is not zero.
+    """
+    shape = image.shape
+    corners, response = fast_corners(image, settings.fast_threshold, mask)
+    within, has = inside_mask(corners, focus), inside_mask(existing, focus)
+    cell_px = -(-shape[1] // settings.fine_columns)
+    distance_px = settings.min_distance_px
+    even = even_spread(settings.max_features, distance_px, settings.grid_cell_px, shape)
+    dense = Spread(settings.focus_distance_px, cell_px, settings.focus_per_cell)
+    taken = existing
+    for n_most, chosen, spread in (
+        (settings.max_features - int((~has).sum()), ~within, even),
+        # what covers tracked features is tracked itself, though there are enough
+        (_UNLIMITED, ~within, Spread(distance_px, cell_px, 1)),
+        (settings.focus_features - int(has.sum()), within, dense),
+    ):
+        new = choose_corners(corners[chosen], response[chosen], taken, n_most, spread, shape)
+        taken = np.concatenate([taken, new])
+    return taken[len(existing) :]
+
+
 def even_spread(n_most: int, distance_px: float, cell_px: int, shape: tuple[int, ...]) -> Spread:
     """At most twice the even share of `n_most` corners in each cell of an image of this shape."""
     height, width = shape[:2]
@@ -30,12 +69,43 @@ def even_spread(n_most: int, distance_px: float, cell_px: int, shape: tuple[int,
     return Spread(distance_px, cell_px, -(-_CELL_EXCESS * n_most // cells))
 
 
+def focus_areas(
+    points: ScenePoints, outlier: BoolArray, camera: Camera, width_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Where more features are wanted: left pixels (M, 2) and radii (M,) in pixels around them.
+
+    They are those of points that move or do not look static: dynamic ones, those of objects, and
+    the `outlier` ones (N,). A radius is half of `width_m` at the point's depth.
+    """
+    depth = points.p_cam0[:, 2]
+    moving = (points.label == int(PointLabel.DYNAMIC)) | (points.track_id >= 0)
+    chosen = np.flatnonzero((moving | outlier) & np.isfinite(depth))
+    radius = 0.5 * width_m * camera.fx / np.maximum(depth[chosen], 1.0)
+    return points.pixels[chosen, :2], radius
+
+
+def focus_mask(shape: tuple[int, ...], uv: FloatArray, radius_px: FloatArray) -> Image | None:
+    """An image (height, width), 255 within the radii (N,) of pixels (N, 2); None without any.
+
+    Large ones are left out: what is near has its features by the ordinary density.
+    """
+    small = radius_px < _NEAR_RADIUS_PX
+    if not small.any():
+        return None
+    mask = np.zeros(shape[:2], dtype=np.uint8)
+    centers = uv[small].round().astype(int).tolist()
+    radii = np.maximum(radius_px[small], _LEAST_RADIUS_PX).round().astype(int).tolist()
+    for (u, v), radius in zip(centers, radii, strict=True):
+        cv2.circle(mask, (u, v), radius, 255, cv2.FILLED)
+    return mask
+
+
 def fast_corners(
     image: Image, threshold: int, mask: Image | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """All corners (M, 2) of an image and their strength (M,); none where `mask` is not zero.
 
-    FAST (E. Rosten & T. Drummond, ECCV 2006).
+    FAST (E. Rosten & T. Drummond, ECCV 2006), `threshold` in grey levels.
     """
     detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
     keypoints = detector.detect(image, None if mask is None else (mask == 0).astype(np.uint8))

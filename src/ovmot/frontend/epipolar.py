@@ -1,26 +1,34 @@
-"""The epipolar gate: stereo matches checked by the stereo extrinsics.
+"""Epipolar tests: stereo matches by the stereo extrinsics, consecutive images by a robust fit.
 
-The distance of the right point to the left point's epipolar line is taken in the undistorted
-normalised plane, where it is exact for any lens; lines need not be horizontal.
+The distance of the right point to the epipolar line of the left one is taken in the undistorted
+normalized plane, where it is exact for any lens; lines need not be horizontal.
 """
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
 _MIN_MATCHES = 20
 _TAILS = 1.5
 _LEAST_SIGMA_PX = 0.15
+_MIN_POINTS = 12
+_CONFIDENCE = 0.999
+_MAX_ITERATIONS = 500
 
 
 def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatArray:
-    """Lines (N, 3), a x + b y + c = 0 with a² + b² = 1, in the right plane: E x0 (E = [t]x R)."""
+    """Lines (N, 3), a x + b y + c = 0 with a² + b² = 1, in the right normalized plane.
+
+    `normalized_left` (N, 2); `essential` (3, 3): E = [t]x R of `T_cam1_cam0`. The line of x0 is
+    E x0 (R. Hartley & A. Zisserman, ch. 9).
+    """
     ones = np.ones_like(normalized_left[..., :1])
     lines = np.concatenate([normalized_left, ones], axis=-1) @ essential.T
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -29,13 +37,14 @@ def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatA
 
 
 def scale_by_angle(lines: FloatArray, camera: Camera) -> FloatArray:
-    """Plane units of one pixel along each line's normal (N,): √((n_x/fx)² + (n_y/fy)²)."""
+    """Normalized length of one pixel along the normal of each line (N, 3):
+    √((n_x/fx)² + (n_y/fy)²), (N,)."""
     scale: FloatArray = np.hypot(lines[..., 0] / camera.fx, lines[..., 1] / camera.fy)
     return scale
 
 
 def scale_by_fy(lines: FloatArray, camera: Camera) -> FloatArray:
-    """Plane units of one pixel, 1/fy for every line: right where lines are horizontal."""
+    """Normalized length of one pixel, 1/fy for every line (N, 3): right for horizontal lines."""
     return np.full(lines.shape[:-1], 1.0 / camera.fy)
 
 
@@ -43,6 +52,7 @@ SCALES: dict[str, Callable[[FloatArray, Camera], FloatArray]] = {
     "angle": scale_by_angle,
     "fy": scale_by_fy,
 }
+"""From pixels to the normalized plane, by the setting `epipolar.scale`."""
 
 
 def gate_matches(
@@ -52,10 +62,10 @@ def gate_matches(
     rig: StereoRig,
     settings: EpipolarSettings,
 ) -> StereoMatches:
-    """Test N stereo matches, given as pixels and plane coordinates (N, 4).
+    """Test N stereo matches, given as pixels (N, 4) and normalized coordinates (N, 4).
 
-    Accepted are those at most `threshold_px` from their line; a
-    match without finite coordinates (outside the lens model) is refused.
+    Accepted are those at most `threshold_px` from their line; a match without finite coordinates
+    (outside the camera model) is rejected.
     """
     lines = epipolar_lines(normalized[:, :2], rig.essential)
     right = normalized[:, 2:]
@@ -67,9 +77,16 @@ def gate_matches(
 
 
 def no_matches() -> StereoMatches:
-    """Nothing was matched."""
+    """Of a frame without stereo matches."""
     ids, nothing = np.empty(0, dtype=np.int64), np.empty((0, 4))
     return StereoMatches(ids, nothing, nothing[:, 0], ids > 0, nothing[:, :3])
+
+
+def without_rejected(values: FloatArray, matches: StereoMatches) -> FloatArray:
+    """Pixels or normalized coordinates (N, 4), the right half NaN where the match was rejected."""
+    out = values.copy()
+    out[~matches.accepted, 2:] = np.nan
+    return out
 
 
 def match_sigma(matches: StereoMatches) -> float:
@@ -86,8 +103,27 @@ def match_sigma(matches: StereoMatches) -> float:
     return float(max(_TAILS * sigma, _LEAST_SIGMA_PX))
 
 
-def without_refused(values: FloatArray, matches: StereoMatches) -> FloatArray:
-    """Pixels or plane coordinates (N, 4) with the right half NaN where the match was refused."""
-    out = values.copy()
-    out[~matches.accepted, 2:] = np.nan
-    return out
+def two_view_inliers(before: FloatArray, now: FloatArray, threshold: float) -> BoolArray:
+    """Which of N tracks (N,) agree with one rigid motion of the camera between two images.
+
+    `before`, `now` (N, 2): normalized coordinates; `threshold` in the same unit. Fundamental
+    matrix by MAGSAC++ (D. Barath et al., CVPR 2020): in the normalized plane it is the essential
+    matrix, and found in half the time. With fewer than 12 tracks, or when no motion is found, all
+    pass: the test then knows nothing.
+    """
+    ok = np.asarray(np.isfinite(before).all(1) & np.isfinite(now).all(1))
+    if ok.sum() < _MIN_POINTS:
+        return ok
+    # The solver's own tolerances are made for pixels: give it coordinates of that size.
+    scale = 1.0 / threshold
+    try:
+        _, mask = cv2.findFundamentalMat(
+            before[ok] * scale, now[ok] * scale, cv2.USAC_MAGSAC, 1.0, _CONFIDENCE, _MAX_ITERATIONS
+        )
+    except cv2.error:  # raised, by some noisy inputs, where the last refinement finds no model
+        return ok
+    if mask is None or mask.sum() < _MIN_POINTS:
+        return ok
+    inliers = np.zeros(len(before), dtype=np.bool_)
+    inliers[ok] = mask.ravel() > 0
+    return inliers

@@ -1,11 +1,11 @@
 """Affine alignment of patches with what they looked like when first seen.
 
 Frame-to-frame flow adds up its errors, and a window that only shifts does not fit ground that is
-seen at a slant: from one frame to the next, and from left to right, it slides. Each feature
+seen at a slant: from one frame to the next, and from left to right, it drifts. Each feature
 therefore keeps its first patch, and every match is refined against it under an affine warp (J. Shi
 & C. Tomasi, CVPR 1994) by inverse compositional Gauss-Newton steps (S. Baker & I. Matthews, IJCV
-2004), on all features at once. Patches are compared with their mean taken off and their norm
-divided out, under a Gaussian weight around the centre.
+2004), on all features at once. Patches are compared with zero mean and unit norm, under a Gaussian
+weight around the centre.
 """
 
 from concurrent.futures import Executor
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.frontend.patch_kernel import align_points_compiled
-from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _Float32 = npt.NDArray[np.float32]
 
@@ -28,7 +28,6 @@ _MAX_SHIFT_PX = 3.0  # from where the flow had ended
 _MIN_CORRELATION = 0.85
 _DAMPING = 1e-3  # of the mean curvature: texture along one direction only does not run away
 _SCALES = (0.6, 1.7)  # a patch seen larger or smaller than this is taken anew
-_BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
 
 _axis = np.arange(-_RADIUS, _RADIUS + 1, dtype=np.float32)
 _OFFSETS: _Float32 = np.stack(np.meshgrid(_axis, _axis), axis=-1).reshape(-1, 2)
@@ -84,13 +83,8 @@ class Patches:
         )
 
 
-def smoothed(image: Image) -> _Float32:
-    """The image as patches are cut from it and aligned with it."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX), dtype=np.float32)
-
-
 def cut_patches(image: _Float32, uv: FloatArray) -> Patches:
-    """Patches around pixels (N, 2) of a smoothed image, as they are seen there."""
+    """Patches around pixels (N, 2) of a smoothed image (height, width), as they are seen there."""
     n, side = len(uv), 2 * _RADIUS + 3
     axis = np.arange(side, dtype=np.float32) - (_RADIUS + 1)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -124,8 +118,8 @@ def align(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Where the patches are in a smoothed image: uv (N, 2), warps (N, 2, 2), and which fit (N,).
 
-    From `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves of the
-    points run in two threads, each point by itself, so the answer does not depend on the split.
+    From pixels `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves
+    of the points run in two threads, each point by itself: the result does not depend on that.
     """
     uv, warp = start.astype(np.float64), start_warp.astype(np.float64)
     half = (len(uv) + 1) // 2
@@ -145,13 +139,13 @@ def align(
     return uv, warp, fits
 
 
-def followed(
+def refine_tracked(
     patches: Patches, image: _Float32, start: FloatArray, workers: Executor
 ) -> tuple[FloatArray, Patches]:
-    """Refined pixels (N, 2) in the next smoothed left image, and the patches as seen there.
+    """Refined pixels (N, 2) in the next smoothed image, and the patches as they are seen there.
 
-    Those that do not fit any more, or are seen at another scale, stay where the flow left them or
-    the alignment put them, and are taken anew.
+    `start` (N, 2): positions by optical flow. Patches that do not fit any more stay there; these,
+    and those that are seen at another scale, are cut anew.
     """
     uv, warp, fits = align(patches, image, start, patches.warp, workers)
     uv = np.where(fits[:, None], uv, start)
@@ -164,7 +158,7 @@ def followed(
 
 
 def _sample(image: _Float32, uv: FloatArray, warp: FloatArray, offsets: _Float32) -> _Float32:
-    """Grey levels (N, M) at uv + warp offset; the border is carried on outwards."""
+    """Grey levels (N, M) at uv + warp offset; the image continued by its border."""
     if not len(uv):
         return np.empty((0, len(offsets)), dtype=np.float32)
     where = uv[:, None].astype(np.float32) + offsets @ np.swapaxes(warp, 1, 2).astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable
-from ovmot.frontend.focus import focus_areas
+from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects

@@ -1,11 +1,10 @@
-"""Where features are wanted: around what may move, and where an image has none."""
+"""Tracking in one camera: where new features are wanted, around what may move and elsewhere."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.focus import focus_mask
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry.arrays import Image
 from ovmot.interfaces import no_feedback
@@ -27,15 +26,6 @@ def textured(seed: int = 0) -> Image:
             i, j = rng.integers(0, 5, 2)
             image[v + i : v + i + 4, u + j : u + j + 4] = rng.integers(20, 60, (4, 4))
     return image
-
-
-def test_the_mask_holds_small_circles_alone() -> None:
-    assert focus_mask((240, 320), np.empty((0, 2)), np.empty(0)) is None
-    mask = focus_mask((240, 320), np.array([[100.0, 50.0], [200.0, 150.0]]), np.array([20.0, 99.0]))
-    assert mask is not None
-    assert mask[50, 115] > 0 and mask[50, 125] == 0
-    assert mask[150, 200] == 0  # what is near has features enough
-    assert focus_mask((240, 320), np.array([[9.0, 9.0]]), np.array([80.0])) is None
 
 
 def test_more_features_where_something_may_move(painted_rig: StereoRig) -> None:
