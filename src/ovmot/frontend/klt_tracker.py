@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.frontend.corners import new_corners
+from ovmot.frontend.corners import fine_cell_px, new_corners
 from ovmot.frontend.epipolar import two_view_inliers
 from ovmot.frontend.optical_flow import match_templates, recover_lost, track_points
 from ovmot.frontend.patches import cut_patches, no_patches, refine_tracked
@@ -14,9 +14,9 @@ from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.settings import TrackerSettings
 
-_FRESH = 2  # track length up to which a point may be of a body that nothing is known of
-_MOST_SEARCHED = 40
-_REACH = 0.0625  # of the width, how far: 10 m/s at 10 m and 10 Hz in a view of 76 degrees
+_NEW = 2
+"""Track length below which nothing is known of a point's own motion: the flow of two intervals
+tells a motion from a mismatch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,7 @@ class KltTracker:
     ) -> TrackedPoints:
         """The last image's points in this one, without those that are lost."""
         last, camera = self.points, view.camera
+        cell_px = fine_cell_px(view.image.shape, self._settings)
         if self._pyramid is None:
             return last
         # predict: by the camera's motion, the point's own, or its flow beyond that of the last time
@@ -101,11 +102,15 @@ class KltTracker:
         # optical flow from there, and from other places for what it has lost
         images = self._pyramid, view.pyramid, last.uv
         flow = track_points(*images, start, self._settings, self._workers)
-        nearby = flow_nearby(last.uv, static_uv, flow.uv, flow.found)
+        # a motion of less than half a window is found from the static position
+        half_px = 0.5 * self._settings.klt_window_px
+        nearby = flow_nearby(last.uv, static_uv, flow.uv, flow.found, half_px)
         # not again where the first search began
         elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
         unknown = ~flow.found & ~moves & np.isfinite(p_before[:, 0])
-        starts = np.stack([nearby, elsewhere, self._search(view, static_uv, unknown)])
+        starts = np.stack(
+            [nearby, elsewhere, self._search(view, static_uv, unknown, 2.0 * cell_px)]
+        )
         flow = recover_lost(*images, flow, starts, static_uv, self._settings, self._workers)
         # alignment with the first patch
         rows = np.flatnonzero(flow.found & view.contains(flow.uv))
@@ -123,19 +128,23 @@ class KltTracker:
             xy=xy,
             track_length=last.track_length[rows] + 1,
             depth=depth[rows],
-            extra_flow=unexplained_flow(uv, static_uv[rows], inlier),
+            extra_flow=unexplained_flow(uv, static_uv[rows], inlier, 4.0 * cell_px),
             inlier=inlier,
         )
 
-    def _search(self, view: View, static_uv: FloatArray, lost: BoolArray) -> FloatArray:
-        """Where new ones of the `lost` points (N,) correlate best (N, 2), NaN for others: they may
-        be of a body that has just come into view."""
+    def _search(
+        self, view: View, static_uv: FloatArray, lost: BoolArray, reach_px: float
+    ) -> FloatArray:
+        """Where new ones of the `lost` points (N,) correlate best (N, 2), NaN for others.
+
+        They may be of a body that has just come into view. A reach of two fine cells is that of
+        10 m/s at 10 m and 10 Hz in a view of 76 degrees.
+        """
         last = self.points
-        new = lost & (last.track_length < _FRESH)
-        rows = np.flatnonzero(new & view.contains(static_uv))[:_MOST_SEARCHED]
+        new = lost & (last.track_length < _NEW)
+        rows = np.flatnonzero(new & view.contains(static_uv))
         out = np.full(static_uv.shape, np.nan)
         if self._pyramid is not None and len(rows):
-            reach_px = _REACH * view.image.shape[1]
             out[rows] = match_templates(
                 self._pyramid, view.pyramid, last.uv[rows], static_uv[rows], reach_px
             )

@@ -39,10 +39,16 @@ def track_points(
 ) -> Flow:
     """Where `points` (N, 2) of `source` are in `target`, pixels, near predicted positions.
 
-    `start` (N, 2): where to begin the search; NaN means at `points`. Only few levels of the pyramid
-    are used: a coarse patch is as large as a body, and the background in it would pull it along.
+    `start` (N, 2): where to begin the search; NaN means at `points`. The coarsest levels of the
+    pyramid are left out: see `near_levels`.
     """
-    return _track_in_halves(source, target, points, start, settings.klt_near_levels, workers)
+    return _track_in_halves(source, target, points, start, near_levels(settings), workers)
+
+
+def near_levels(settings: TrackerSettings) -> int:
+    """Levels of the pyramid for a search around a predicted position: without the two coarsest,
+    where a window is as large as a body, and the background in it would pull it along."""
+    return max(settings.klt_levels - 2, 1)
 
 
 def recover_lost(
@@ -65,7 +71,7 @@ def recover_lost(
         return flow
     bound = _MAX_RESIDUAL_RATIO * float(np.quantile(flow.photometric_residual[flow.found], _COMMON))
     uv, found, residual = flow.uv.copy(), flow.found.copy(), flow.photometric_residual.copy()
-    levels = [settings.klt_near_levels] * len(starts) + [settings.klt_levels]
+    levels = [near_levels(settings)] * len(starts) + [settings.klt_levels]
     for start, n_levels in zip((*starts, around), levels, strict=True):
         lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))
         again = _track_in_halves(source, target, points[lost], start[lost], n_levels, workers)

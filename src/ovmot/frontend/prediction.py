@@ -9,8 +9,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 _NEAREST = 5
-_LEAST_EXTRA_PX = 3.0
-_MAX_EXTRA_FLOW_PX = 80.0
+"""Neighbours in the image whose median is taken: two may be wrong."""
 
 
 def predict_pixels(
@@ -30,30 +29,32 @@ def predict_pixels(
     return camera.project(point), np.where(usable, near[:, 2], np.nan)
 
 
-def unexplained_flow(found: FloatArray, static_uv: FloatArray, explained: BoolArray) -> FloatArray:
+def unexplained_flow(
+    found: FloatArray, static_uv: FloatArray, explained: BoolArray, most_px: float
+) -> FloatArray:
     """Image motion (N, 2) in pixels beyond that of a static point, predicted for the next image.
 
     `found`, `static_uv` (N, 2): where the points are, and where static ones would be. Zero for
-    points that the two-view test explains (N,), and where the difference is no motion's.
+    points that the two-view test explains (N,), and beyond `most_px`: a mismatch.
     """
     extra = found - static_uv
     size = np.linalg.norm(extra, axis=1)
-    predicted = ~explained & np.isfinite(size) & (size < _MAX_EXTRA_FLOW_PX)
+    predicted = ~explained & np.isfinite(size) & (size < most_px)
     return np.where(predicted[:, None], extra, 0.0)
 
 
 def flow_nearby(
-    uv: FloatArray, static_uv: FloatArray, found: FloatArray, ok: BoolArray
+    uv: FloatArray, static_uv: FloatArray, found: FloatArray, ok: BoolArray, least_px: float
 ) -> FloatArray:
     """Where lost points would be, had they moved as the movers around them: (N, 2), else NaN.
 
     `found` (N, 2) of the points `uv` (N, 2) that are `ok` (N,), against `static_uv` (N, 2), all in
-    pixels.
+    pixels. Movers are those that are more than `least_px` from where they would be if static.
     """
     start = np.full(uv.shape, np.nan)
     extra = found - static_uv
     with np.errstate(invalid="ignore"):
-        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > _LEAST_EXTRA_PX))
+        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > least_px))
     lost = np.flatnonzero(~ok)
     if len(moves) < _NEAREST or len(lost) == 0:
         return start

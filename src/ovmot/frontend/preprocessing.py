@@ -16,8 +16,6 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
-BORDER_PX = 3.0
-"""Nothing is tracked nearer than this to the image border."""
 _MAX_GAIN = 4.0
 _BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
 
@@ -46,8 +44,9 @@ class View:
     camera: Camera
 
     def contains(self, uv: FloatArray) -> BoolArray:
-        """Which pixels (N, 2) are off the image border and not masked; NaN is not."""
-        return self.camera.inside(uv, BORDER_PX) & ~inside_mask(uv, self.mask)
+        """Around which pixels (N, 2) the window of optical flow lies in the image, and which of
+        them are not masked; NaN is not."""
+        return self.camera.inside(uv, self.pyramid.window // 2) & ~inside_mask(uv, self.mask)
 
 
 def preprocess(
@@ -76,7 +75,7 @@ def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:
     """
     window = settings.klt_window_px
     margin = margin_of(window)
-    n_levels = max(settings.klt_levels, settings.klt_near_levels, BACK_LEVELS)
+    n_levels = max(settings.klt_levels, BACK_LEVELS)
     levels: list[npt.NDArray[np.float32]] = []
     while len(levels) < n_levels and (not levels or min(image.shape) > window):
         padded = cv2.copyMakeBorder(image, margin, margin, margin, margin, cv2.BORDER_REFLECT_101)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.corners import focus_mask
+from ovmot.frontend.corners import fine_cell_px, focus_mask
 from ovmot.frontend.epipolar import gate_matches, without_rejected
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
 from ovmot.frontend.optical_flow import recover_lost, track_points
@@ -21,8 +21,6 @@ from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import Feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
-
-_DEFAULT_DEPTH_BASELINES = 40.0  # where nothing is known, points are taken this far away
 
 
 class StereoTracker:
@@ -62,10 +60,11 @@ class StereoTracker:
         p_before = triangulate_stereo(self._pairs, self._rig.T_cam1_cam0)
         dt_s = 1e-9 * (frame.timestamp_ns - self._last_ns)
         p_predicted = p_before + self._displacements(feedback, dt_s)
-        focus = focus_mask(left.image.shape, feedback.focus_uv, feedback.focus_radius_px)
+        shape, cell_px = left.image.shape, fine_cell_px(left.image.shape, self._settings)
+        focus = focus_mask(shape, feedback.focus_uv, feedback.focus_radius_px, cell_px)
         points = self._left.step(left, p_before, p_predicted, T_now_before, focus)
         # match them into the right image, and gate the matches
-        pixels, self._pairs, matches = self._match_right(left, right, points)
+        pixels, self._pairs, matches = self._match_right(left, right, points, cell_px)
         self._last_ns = frame.timestamp_ns
         seen = FrontendFrame(
             timestamp_ns=frame.timestamp_ns,
@@ -88,12 +87,13 @@ class StereoTracker:
         return moved
 
     def _match_right(
-        self, left: View, right: View, points: TrackedPoints
+        self, left: View, right: View, points: TrackedPoints, cell_px: int
     ) -> tuple[FloatArray, FloatArray, StereoMatches]:
         """Pixels and normalized coordinates (N, 4), with accepted right halves only, and all
         tested pairs."""
-        # predict the right position by the depth of the point, or of those around it
-        default = _DEFAULT_DEPTH_BASELINES * self._rig.baseline
+        # predict the right position by the depth of the point, or of those around it; where none
+        # is known, by a disparity of half a fine cell
+        default = self._rig.baseline * left.camera.fx / (0.5 * cell_px)
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
         # optical flow from left to right, and alignment with the first patch

@@ -39,7 +39,6 @@ class MovingObjects:
 
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
-        self._focus_width_m = settings.tracker.focus_width_m
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
@@ -70,7 +69,7 @@ class MovingObjects:
         tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0)
         held = excluded_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.expected(points)
-        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0, self._focus_width_m)
+        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)
         return ObjectsResult(
             tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px
         )
