@@ -12,12 +12,10 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.physics import LEAST_MATCH_SIGMA_PX, gate
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
-_MIN_MATCHES = 20
-_TAILS = 1.5
-_LEAST_SIGMA_PX = 0.15
 _MIN_POINTS = 12
 _CONFIDENCE = 0.999
 _MAX_ITERATIONS = 500
@@ -89,18 +87,22 @@ def without_rejected(values: FloatArray, matches: StereoMatches) -> FloatArray:
     return out
 
 
-def match_sigma(matches: StereoMatches) -> float:
+def match_sigma(
+    matches: StereoMatches, *, probability: float = 0.95, min_matches: int = 20
+) -> float:
     """Standard deviation of each pixel of a stereo pair, by the accepted distances; NaN for few.
 
     A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
-    disparity has along it. Robust (1.4826 times the median), and widened for the heavier tails
-    that matches have.
+    disparity has along it. The sigma is that of which a normal distribution has this probability
+    within the same bound as the distances: matches have heavier tails than their median shows, and
+    gates at this probability hold what they should. At least what matching can reach,
+    `physics.LEAST_MATCH_SIGMA_PX`.
     """
     distance = matches.distance_px[matches.accepted]
-    if len(distance) < _MIN_MATCHES:
+    if len(distance) < min_matches:
         return float("nan")
-    sigma = 1.4826 * float(np.median(distance)) / 2.0**0.5
-    return float(max(_TAILS * sigma, _LEAST_SIGMA_PX))
+    bound = float(np.quantile(distance, probability))
+    return max(bound / (2.0 * gate(1, probability)) ** 0.5, LEAST_MATCH_SIGMA_PX)
 
 
 def two_view_inliers(before: FloatArray, now: FloatArray, threshold: float) -> BoolArray:
