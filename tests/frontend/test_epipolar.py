@@ -8,6 +8,8 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar import (
     epipolar_lines,
     gate_matches,
+    match_sigma,
+    no_matches,
     scale_by_angle,
     scale_by_fy,
     two_view_inliers,
@@ -15,6 +17,7 @@ from ovmot.frontend.epipolar import (
 )
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.physics import LEAST_MATCH_SIGMA_PX
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
@@ -178,6 +181,30 @@ def test_a_rejected_match_loses_its_right_half_only() -> None:
     assert np.isnan(out[:, 3]).tolist() == [False, True, False, False]
     np.testing.assert_array_equal(out[[0, 2, 3]], pixels[[0, 2, 3]])
     assert np.isfinite(pixels).all()  # the argument is left as it was
+
+
+def distances(px: FloatArray, threshold: float = 1.5) -> StereoMatches:
+    n = len(px)
+    return StereoMatches(
+        np.arange(n), np.zeros((n, 4)), px, px <= threshold, np.zeros((n, 3))
+    )  # fmt: skip
+
+
+def test_the_noise_of_pixels_is_that_of_the_distances() -> None:
+    """Of both pixels in quadrature; a distance across the line holds all of it."""
+    normal = np.abs(np.random.default_rng(0).normal(0.0, 0.3 * 2.0**0.5, 20000))
+    assert match_sigma(distances(normal)) == pytest.approx(0.3, rel=0.02)
+    # heavier tails than a normal distribution widen it, rejected matches do not count
+    tails = np.concatenate([normal, np.abs(np.random.default_rng(1).normal(0.0, 1.0, 3000))])
+    assert 0.32 < match_sigma(distances(tails)) < 0.45
+    wrong = np.concatenate([normal, np.full(9000, 50.0)])
+    assert match_sigma(distances(wrong)) == match_sigma(distances(normal))
+
+
+def test_few_matches_show_no_noise_and_exact_ones_the_least() -> None:
+    assert np.isnan(match_sigma(no_matches()))
+    assert np.isnan(match_sigma(distances(np.full(19, 0.2))))
+    assert match_sigma(distances(np.zeros(20))) == LEAST_MATCH_SIGMA_PX
 
 
 def scene(n: int, T_now_before: FloatArray, seed: int = 0) -> tuple[FloatArray, FloatArray]:

@@ -1,11 +1,14 @@
 """Given features go through the checks that tracked ones go through."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.frontend.given_features import GivenFeatures
+from ovmot.frontend import FRONT_ENDS
+from ovmot.frontend.given_features import ARRANGEMENTS, GivenFeatures
 from ovmot.geometry.arrays import FloatArray
 from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
@@ -104,3 +107,8 @@ def test_each_camera_by_itself_separates_the_pairs(painted_rig: StereoRig) -> No
     np.testing.assert_array_equal(seen.pixels[~left, 2:], second[:, 2:])
     assert (seen.track_length == 1).all()
     assert sorted(seen.feature_id[~seen.two_view_inlier].tolist()) == [6, 11]
+
+
+def test_every_choice_of_cameras_is_there_for_images_and_given_features() -> None:
+    choices = get_args(TrackerSettings.model_fields["cameras"].annotation)
+    assert set(choices) == set(FRONT_ENDS) == set(ARRANGEMENTS)

@@ -1,19 +1,24 @@
 """Tracking in one camera: where new features are wanted, around what may move and elsewhere."""
 
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import cv2
 import numpy as np
+import pytest
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.klt_tracker import FeatureIds, KltTracker
+from ovmot.frontend.preprocessing import preprocess
 from ovmot.frontend.stereo_tracker import StereoTracker
-from ovmot.geometry.arrays import Image
+from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import StereoFrame
 
 SETTINGS = TrackerSettings(
-    max_features=40, min_distance_px=14.0, fast_threshold=12, equalization="none",
-    focus_features=60, focus_distance_px=5.0, fine_columns=8,
+    max_features=40, fast_threshold=12, equalization="none", focus_features=60, fine_columns=13,
 )  # fmt: skip
 
 
@@ -70,3 +75,53 @@ def test_a_covered_part_of_the_image_gets_features_though_there_are_enough(
     inside = (u > 105) & (u < 215) & (v > 65) & (v < 175)
     fresh = inside & ~np.isin(after.feature_id, before.feature_id)
     assert fresh.sum() >= 4
+
+
+@pytest.fixture
+def workers() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
+
+
+def blobs(seed: int, size: tuple[int, int]) -> FloatArray:
+    """Texture (height, width) of grey levels around 128."""
+    soft = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(size), (0, 0), 2.0)
+    return np.asarray(128.0 + 45.0 * soft / soft.std(), np.float64)
+
+
+def street_and_body(u: int) -> Image:
+    """A static background, and before it a body of 60x60 pixels whose left side is at column u."""
+    grey = blobs(1, (240, 320))
+    grey[90:150, u : u + 60] = blobs(2, (60, 60))
+    return np.asarray(np.clip(np.round(grey), 0, 255), dtype=np.uint8)
+
+
+def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_reach(
+    painted_rig: StereoRig, workers: ThreadPoolExecutor
+) -> None:
+    """It moves by 34 pixels, within two cells of 20; what is static stays."""
+    settings = TrackerSettings(fine_columns=16, equalization="none")
+    tracker = KltTracker(settings, workers, FeatureIds())
+    images = street_and_body(100), street_and_body(134)
+    views = [
+        preprocess(StereoFrame(k, image, image), painted_rig, settings, workers)[0]
+        for k, image in enumerate(images)
+    ]
+    first = tracker.step(views[0], np.empty((0, 3)), np.empty((0, 3)), np.eye(4), None)
+    p = 10.0 * np.column_stack([first.xy, np.ones(len(first))])
+    second = tracker.step(views[1], p, p, np.eye(4), None)
+    _, a, b = np.intersect1d(first.feature_id, second.feature_id, return_indices=True)
+    moved = second.uv[b] - first.uv[a]
+    on_body = ((first.uv[a] > [108, 98]) & (first.uv[a] < [152, 142])).all(axis=1)
+    assert on_body.sum() >= 4
+    assert (np.abs(moved[on_body] - [34.0, 0.0]).max(axis=1) < 0.3).mean() > 0.7
+    away = (first.uv[a, 1] < 80) | (first.uv[a, 1] > 160)
+    assert np.quantile(np.abs(moved[away]).max(axis=1), 0.95) < 0.1
+    np.testing.assert_allclose(second.depth[b][away], 10.0)
+
+
+def test_ids_are_given_once() -> None:
+    ids = FeatureIds()
+    assert ids.take(3).tolist() == [0, 1, 2]
+    assert ids.take(0).tolist() == []
+    assert ids.take(2).tolist() == [3, 4]

@@ -21,8 +21,8 @@ from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame
 
 SETTINGS = TrackerSettings(
-    max_features=150, min_distance_px=10.0, fast_threshold=12, equalization="none",
-    klt_window_px=13, klt_levels=3,
+    max_features=150, fine_columns=16, fast_threshold=12, equalization="none",
+    klt_window_px=13, klt_levels=5,
 )  # fmt: skip
 STEP_M = 0.15
 FOCAL_PX = 200.0

@@ -12,7 +12,7 @@ from ovmot.frontend.preprocessing import build_pyramid
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
-SETTINGS = TrackerSettings(klt_window_px=15, klt_near_levels=3, klt_levels=4)
+SETTINGS = TrackerSettings(klt_window_px=15, klt_levels=5)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_a_large_shift_needs_its_predicted_start(
 ) -> None:
     shift = (48.0, -31.0)
     source, target = painted(texture, (0.0, 0.0)), painted(texture, shift)
-    flat = SETTINGS.model_copy(update={"klt_near_levels": 1})
+    flat = SETTINGS.model_copy(update={"klt_levels": 3})
     blind, ok_blind = look(source, target, points, unknown(points), flat, workers)
     right = np.linalg.norm(blind - points - shift, axis=1) < 0.5
     assert (ok_blind & right).mean() < 0.05
@@ -135,7 +135,7 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     source, target = painted(texture, (0.0, 0.0)), painted(texture, (0.0, 0.0))
     target = np.hstack([target[:, :150], painted(texture, (44.0, 3.0))[:, 150:]])
     moved = points[:, 0] > 150
-    near = SETTINGS.model_copy(update={"klt_near_levels": 2, "klt_levels": 2})
+    near = SETTINGS.model_copy(update={"klt_levels": 3})
     pyramids = build_pyramid(source, near), build_pyramid(target, near)
     first = track_points(*pyramids, points, unknown(points), near, workers)
     lost = moved & ~first.found & (points[:, 0] < 240)

@@ -21,8 +21,8 @@ from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
 
 TRACKER = TrackerSettings(
-    max_features=150, min_distance_px=10.0, fast_threshold=12, grid_cell_px=64,
-    equalization="none", klt_window_px=13, klt_levels=3, two_view_threshold_px=1.0,
+    max_features=150, fine_columns=16, fast_threshold=12,
+    equalization="none", klt_window_px=13, klt_levels=5, two_view_threshold_px=1.0,
 )  # fmt: skip
 GATE = EpipolarSettings(threshold_px=1.5, scale="angle")
 STEP_M = 0.15
@@ -151,7 +151,7 @@ def test_two_runs_are_equal_bit_for_bit(
 
 def test_a_large_motion_needs_the_prediction(painted_rig: StereoRig, painted_pair: Pair) -> None:
     """40 to 64 px between two frames: found with the predicted motion, lost without."""
-    settings = TRACKER.model_copy(update={"klt_near_levels": 1, "klt_levels": 1})
+    settings = TRACKER.model_copy(update={"klt_levels": 1, "fine_columns": 32})
     share = {}
     for predicted in (0.0, 1.6):
         with tracker_of(painted_rig, settings) as tracker:

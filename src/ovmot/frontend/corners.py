@@ -80,9 +80,9 @@ def focus_areas(
     """Where more features are wanted: left pixels (M, 2) and radii (M,) in pixels around them.
 
     They are those of points that move or do not look static: dynamic ones, those of objects, and
-    the `outlier` ones (N,). A radius is half of the greatest width of a vehicle at the point's
-    depth: as far as a body seen from behind reaches around its middle, while its length is seen
-    from the side only, where it has points along it.
+    the `outlier` ones (N,). A radius is half of a vehicle's greatest width at the point's depth:
+    the parts of the same body that are not seen yet lie that near. Its length, which it shows from
+    the side alone, would reach beyond its ends to the street.
     """
     depth = points.p_cam0[:, 2]
     moving = (points.label == int(PointLabel.DYNAMIC)) | (points.track_id >= 0)

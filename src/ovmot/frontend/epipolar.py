@@ -4,6 +4,7 @@ The distance of the right point to the epipolar line of the left one is taken in
 normalized plane, where it is exact for any lens; lines need not be horizontal.
 """
 
+import math
 from collections.abc import Callable
 
 import cv2
@@ -15,10 +16,6 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.physics import LEAST_MATCH_SIGMA_PX, gate
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
-
-_MIN_POINTS = 12
-_CONFIDENCE = 0.999
-_MAX_ITERATIONS = 500
 
 
 def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatArray:
@@ -102,29 +99,38 @@ def match_sigma(
     if len(distance) < min_matches:
         return float("nan")
     bound = float(np.quantile(distance, probability))
-    return max(bound / (2.0 * gate(1, probability)) ** 0.5, LEAST_MATCH_SIGMA_PX)
+    return float(max(bound / (2.0 * gate(1, probability)) ** 0.5, LEAST_MATCH_SIGMA_PX))
 
 
-def two_view_inliers(before: FloatArray, now: FloatArray, threshold: float) -> BoolArray:
+def two_view_inliers(
+    before: FloatArray,
+    now: FloatArray,
+    threshold: float,
+    *,
+    min_points: int = 12,
+    confidence: float = 0.999,
+) -> BoolArray:
     """Which of N tracks (N,) agree with one rigid motion of the camera between two images.
 
     `before`, `now` (N, 2): normalized coordinates; `threshold` in the same unit. Fundamental
     matrix by MAGSAC++ (D. Barath et al., CVPR 2020): in the normalized plane it is the essential
-    matrix, and found in half the time. With fewer than 12 tracks, or when no motion is found, all
-    pass: the test then knows nothing.
+    matrix, and found in half the time. With fewer than `min_points` tracks, or when no motion is
+    found, all pass: the test then knows nothing. So many samples of seven are drawn that, where
+    half of the tracks are inliers, one is free of outliers with this `confidence`.
     """
     ok = np.asarray(np.isfinite(before).all(1) & np.isfinite(now).all(1))
-    if ok.sum() < _MIN_POINTS:
+    if ok.sum() < min_points:
         return ok
     # The solver's own tolerances are made for pixels: give it coordinates of that size.
     scale = 1.0 / threshold
+    most_samples = math.ceil(math.log(1.0 - confidence) / math.log(1.0 - 0.5**7))
     try:
         _, mask = cv2.findFundamentalMat(
-            before[ok] * scale, now[ok] * scale, cv2.USAC_MAGSAC, 1.0, _CONFIDENCE, _MAX_ITERATIONS
+            before[ok] * scale, now[ok] * scale, cv2.USAC_MAGSAC, 1.0, confidence, most_samples
         )
     except cv2.error:  # raised, by some noisy inputs, where the last refinement finds no model
         return ok
-    if mask is None or mask.sum() < _MIN_POINTS:
+    if mask is None or mask.sum() < min_points:
         return ok
     inliers = np.zeros(len(before), dtype=np.bool_)
     inliers[ok] = mask.ravel() > 0

@@ -31,8 +31,9 @@ scale of 2⁻²⁰."""
 BACK_LEVELS = 2
 """The backward search starts where it should end: two levels are enough."""
 MAX_ROUND_TRIP_PX = 0.7
+"""Forward and backward: half a pixel in each direction of the image."""
 LANES = 32
-"""Pixels that one turn of a loop takes."""
+"""Pixels that one turn of a loop takes: two vectors of AVX-512, in single precision."""
 
 _Float32 = npt.NDArray[np.float32]
 _Images = tuple[_Float32, ...]

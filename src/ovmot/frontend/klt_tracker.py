@@ -108,9 +108,8 @@ class KltTracker:
         # not again where the first search began
         elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
         unknown = ~flow.found & ~moves & np.isfinite(p_before[:, 0])
-        starts = np.stack(
-            [nearby, elsewhere, self._search(view, static_uv, unknown, 2.0 * cell_px)]
-        )
+        searched = self._search(view, static_uv, unknown, 2.0 * cell_px)
+        starts = np.stack([nearby, elsewhere, searched])
         flow = recover_lost(*images, flow, starts, static_uv, self._settings, self._workers)
         # alignment with the first patch
         rows = np.flatnonzero(flow.found & view.contains(flow.uv))

@@ -14,9 +14,8 @@ from ovmot.frontend.preprocessing import Pyramid
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.settings import TrackerSettings
 
-_SEARCHED_HALF = 4  # pixels of the half-size image around a patch that is searched for
-_LEAST_ALIKE = 0.8  # correlation
-_COMMON, _MAX_RESIDUAL_RATIO = 0.9, 2.0  # a find is chance beyond twice what nine in ten have
+MIN_CORRELATION = 0.85
+"""Normalized cross-correlation from which on two patches are taken as views of one point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +59,18 @@ def recover_lost(
     around: FloatArray,
     settings: TrackerSettings,
     workers: Executor,
+    *,
+    probability: float = 0.95,
 ) -> Flow:
     """The flow, with lost points searched again: near `starts` (H, N, 2), then far `around` (N, 2).
 
     The starts come in order of trust, NaN for none; around the last positions the whole pyramid is
     searched. A repeated search finds something wherever it looks, so that its photometric residual
-    must be as low as those of the first search.
+    must be one that the first search stays below with this `probability`.
     """
     if not flow.found.any():
         return flow
-    bound = _MAX_RESIDUAL_RATIO * float(np.quantile(flow.photometric_residual[flow.found], _COMMON))
+    bound = float(np.quantile(flow.photometric_residual[flow.found], probability))
     uv, found, residual = flow.uv.copy(), flow.found.copy(), flow.photometric_residual.copy()
     levels = [near_levels(settings)] * len(starts) + [settings.klt_levels]
     for start, n_levels in zip((*starts, around), levels, strict=True):
@@ -86,13 +87,13 @@ def match_templates(
     """Positions (N, 2) in `target` that correlate best with the patches of `points` (N, 2).
 
     They are sought `reach_px` to either side of `around` (N, 2) and a quarter of it up and down,
-    since bodies move along the ground; NaN where nothing correlates. Normalized cross-correlation
-    on the half-size images: optical flow does not reach much farther than its window is wide.
+    since bodies move along the ground; NaN below `MIN_CORRELATION`. Normalized cross-correlation
+    of windows on the half-size images: optical flow does not reach much farther than its window.
     """
     found = np.full(points.shape, np.nan)
     if len(source.levels) < 2:
         return found
-    margin, half = margin_of(source.window), _SEARCHED_HALF
+    margin, half = margin_of(source.window), source.window // 2
     before, after = source.levels[1], target.levels[1]
     size = np.array(after.shape[::-1])
     reach = (np.array([0.5, 0.125]) * reach_px).astype(np.int64) + half
@@ -105,7 +106,7 @@ def match_templates(
         patch = before[v - half : v + half + 1, u - half : u + half + 1]
         score = cv2.matchTemplate(after[top:bottom, left:right], patch, cv2.TM_CCOEFF_NORMED)
         _, best, _, corner = cv2.minMaxLoc(score)
-        if best > _LEAST_ALIKE:
+        if best > MIN_CORRELATION:
             found[k] = points[k] + 2.0 * (low[k] + np.array(corner) + half - centre[k])
     return found
 

@@ -17,7 +17,7 @@ from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
 _MAX_GAIN = 4.0
-_BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
+"""Greatest gain of contrast, so that night stays night; CLAHE's clip limit is the same bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +84,12 @@ def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:
     return Pyramid(tuple(levels), window)
 
 
-def smoothed(image: Image) -> npt.NDArray[np.float32]:
-    """The image (height, width) as patches are cut from it and aligned with it."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX), dtype=np.float32)
+def smoothed(image: Image, *, sigma_px: float = 0.8) -> npt.NDArray[np.float32]:
+    """The image (height, width) as patches are cut from it and aligned with it.
+
+    Bilinear sampling between pixels then costs little sharpness.
+    """
+    return np.asarray(cv2.GaussianBlur(image, (5, 5), sigma_px), dtype=np.float32)
 
 
 def inside_mask(uv: FloatArray, mask: Image | None) -> BoolArray:
@@ -109,7 +112,7 @@ def equalize_histogram(image: Image) -> Image:
 
 def equalize_locally(image: Image) -> Image:
     """Contrast-limited adaptive equalization (K. Zuiderveld, Graphics Gems IV, 1994)."""
-    clahe = cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8))
+    clahe = cv2.createCLAHE(clipLimit=_MAX_GAIN, tileGridSize=(8, 8))
     return np.asarray(clahe.apply(image), dtype=np.uint8)
 
 
