@@ -44,8 +44,8 @@ REST_S = 0.7
 SETTINGS = Settings.model_validate(
     {
         "tracker": {
-            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
-            "grid_cell_px": 64, "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+            "max_features": 120, "fine_columns": 16, "fast_threshold": 12,
+            "equalization": "none", "klt_window_px": 13, "klt_levels": 5,
         },
         "epipolar": {"threshold_px": 1.5, "scale": "angle"},
         "filter": {

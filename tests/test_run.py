@@ -28,8 +28,8 @@ from ovmot.types import Event, FrameResult
 SETTINGS = Settings.model_validate(
     {
         "tracker": {
-            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
-            "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+            "max_features": 120, "fine_columns": 16, "fast_threshold": 12,
+            "equalization": "none", "klt_window_px": 13, "klt_levels": 5,
         },
         "initialization": {"window_s": 0.5},
         "noise": {"pixel_sigma": 0.3},

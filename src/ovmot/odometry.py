@@ -13,8 +13,8 @@ from ovmot.feature_table import (
     mark_dynamic,
     mark_outliers,
 )
+from ovmot.frontend import FRONT_ENDS
 from ovmot.frontend.epipolar import match_sigma
-from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.initialization.frame_buffer import FrameBuffer

@@ -40,6 +40,11 @@ turns by 0.2 rad/s."""
 REST_SHIFT_M = 0.01
 """A body that rocks on its springs moves its camera by up to this."""
 
+# Pixels.
+LEAST_MATCH_SIGMA_PX = 0.1
+"""Standard deviation that least squares matching of natural texture reaches at best, a tenth of a
+pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogrammetry 14, 1985)."""
+
 
 @lru_cache(maxsize=4096)
 def gate(dof: int, probability: float) -> float:

@@ -14,7 +14,7 @@ def test_parameters_set_settings_and_files() -> None:
         "calibration": "/c.yaml",
         "config": "",
         "live": {"left": "/camera/left", "queue_frames": 7, "right": "", "publish_tf": False},
-        "tracker": {"min_distance_px": 9.5},
+        "tracker": {"two_view_threshold_px": 1.25},
     }
     found = read_parameters(private)
     assert found.calibration == Path("/c.yaml") and found.config is None
@@ -22,7 +22,7 @@ def test_parameters_set_settings_and_files() -> None:
     assert settings.live.left == "/camera/left"
     assert settings.live.right == "/cam1/image_raw"
     assert settings.live.queue_frames == 7 and not settings.live.publish_tf
-    assert settings.tracker.min_distance_px == 9.5
+    assert settings.tracker.two_view_threshold_px == 1.25
 
 
 def test_an_unknown_parameter_is_named() -> None:

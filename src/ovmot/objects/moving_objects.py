@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.focus import focus_areas
+from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects
@@ -42,7 +42,6 @@ class MovingObjects:
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
         self._max_range_m = settings.segmentation.max_range_m
-        self._focus_width_m = settings.tracker.focus_width_m
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
@@ -79,7 +78,7 @@ class MovingObjects:
         tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0)
         held = excluded_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.expected(points)
-        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0, self._focus_width_m)
+        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)
         return ObjectsResult(
             tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px
         )

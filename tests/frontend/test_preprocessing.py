@@ -1,10 +1,12 @@
-"""Contrast correction: what each way does to a dark, flat picture."""
+"""Images made ready: contrast corrections of a dark, flat image, pyramids, masks."""
 
 import numpy as np
 import pytest
 
-from ovmot.frontend.contrast import EQUALIZERS, grey_percentiles
+from ovmot.frontend.klt_kernel import margin_of
+from ovmot.frontend.preprocessing import EQUALIZERS, build_pyramid, grey_percentiles, inside_mask
 from ovmot.geometry.arrays import Image
+from ovmot.settings import TrackerSettings
 
 
 @pytest.fixture
@@ -63,3 +65,21 @@ def test_percentiles_of_greys_are_those_of_numpy(dark: Image) -> None:
     for image in (dark, dark[:7, :3], dark[::4, ::4]):
         expected = np.percentile(image, percent)
         np.testing.assert_allclose(grey_percentiles(image, percent), expected, rtol=1e-12)
+
+
+def test_a_pyramid_stops_at_the_size_of_its_window() -> None:
+    """Levels are halves of each other, padded alike, and an image of any size has one at least."""
+    settings = TrackerSettings(klt_window_px=11, klt_levels=5)
+    pyramid = build_pyramid(np.zeros((50, 80), dtype=np.uint8), settings)
+    margin = margin_of(11)
+    sides = [tuple(side - 2 * margin for side in level.shape) for level in pyramid.levels]
+    assert sides == [(50, 80), (25, 40), (13, 20)]
+    assert len(build_pyramid(np.zeros((9, 9), dtype=np.uint8), settings).levels) == 1
+
+
+def test_a_pixel_is_masked_where_the_mask_is_not_zero() -> None:
+    mask = np.zeros((4, 6), dtype=np.uint8)
+    mask[1, 2] = 7
+    uv = np.array([[2.4, 0.6], [2.6, 1.0], [-1.0, 1.0], [6.0, 3.0], [np.nan, 1.0]])
+    assert inside_mask(uv, mask).tolist() == [True, False, False, False, False]
+    assert not inside_mask(uv, None).any()

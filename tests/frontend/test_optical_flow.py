@@ -1,4 +1,4 @@
-"""Optical flow on pictures whose motion is known."""
+"""Optical flow on images whose motion is known."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.frontend.flow import best_matching_places, build_pyramid, follow, recover_lost
-from ovmot.frontend.klt_kernel import margin_of
+from ovmot.frontend.optical_flow import match_templates, recover_lost, track_points
+from ovmot.frontend.preprocessing import build_pyramid
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
-SETTINGS = TrackerSettings(klt_window_px=15, klt_near_levels=3, klt_levels=4)
+SETTINGS = TrackerSettings(klt_window_px=15, klt_levels=5)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def texture() -> AnyArray:
     return np.asarray(128.0 + 50.0 * smooth / smooth.std())
 
 
-def picture(texture: AnyArray, shift: tuple[float, float]) -> Image:
+def painted(texture: AnyArray, shift: tuple[float, float]) -> Image:
     """200x300 pixels of the texture, moved right and down by whole eighths of a pixel, exactly."""
     u, v = 400 - round(8 * shift[0]), 400 - round(8 * shift[1])
     cut = texture[v : v + 1600 : 8, u : u + 2400 : 8]
@@ -48,7 +48,7 @@ def look(
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Positions, and which were found."""
     pyramids = build_pyramid(source, settings), build_pyramid(target, settings)
-    flow = follow(*pyramids, points, start, settings, workers)
+    flow = track_points(*pyramids, points, start, settings, workers)
     return flow.uv, flow.found
 
 
@@ -60,7 +60,7 @@ def unknown(points: FloatArray) -> FloatArray:
 def test_a_shift_is_found_below_a_twentieth_of_a_pixel(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor, shift: tuple[float, float]
 ) -> None:
-    source, target = picture(texture, (0.0, 0.0)), picture(texture, shift)
+    source, target = painted(texture, (0.0, 0.0)), painted(texture, shift)
     found, ok = look(source, target, points, unknown(points), SETTINGS, workers)
     assert ok.mean() > 0.95
     error = found[ok] - points[ok] - shift
@@ -72,8 +72,8 @@ def test_a_large_shift_needs_its_predicted_start(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
 ) -> None:
     shift = (48.0, -31.0)
-    source, target = picture(texture, (0.0, 0.0)), picture(texture, shift)
-    flat = SETTINGS.model_copy(update={"klt_near_levels": 1})
+    source, target = painted(texture, (0.0, 0.0)), painted(texture, shift)
+    flat = SETTINGS.model_copy(update={"klt_levels": 3})
     blind, ok_blind = look(source, target, points, unknown(points), flat, workers)
     right = np.linalg.norm(blind - points - shift, axis=1) < 0.5
     assert (ok_blind & right).mean() < 0.05
@@ -87,7 +87,7 @@ def test_points_are_found_from_their_own_starts(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
 ) -> None:
     """A NaN start means the old position, for that point alone."""
-    source, target = picture(texture, (0.0, 0.0)), picture(texture, (2.0, 1.0))
+    source, target = painted(texture, (0.0, 0.0)), painted(texture, (2.0, 1.0))
     start = unknown(points)
     start[::2] = points[::2] + np.array([2.0, 1.0])
     found, ok = look(source, target, points, start, SETTINGS, workers)
@@ -98,7 +98,7 @@ def test_points_are_found_from_their_own_starts(
 def test_what_is_gone_is_flagged(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
 ) -> None:
-    source, target = picture(texture, (0.0, 0.0)), picture(texture, (1.0, 0.0))
+    source, target = painted(texture, (0.0, 0.0)), painted(texture, (1.0, 0.0))
     other = np.random.default_rng(9).integers(0, 255, target.shape).astype(np.uint8)
     gone = target.copy()
     gone[:, 150:] = cv2.GaussianBlur(other, (0, 0), 1.5)[:, 150:]
@@ -119,7 +119,7 @@ def test_no_points(workers: ThreadPoolExecutor) -> None:
 def test_one_point_alone_gives_the_same_as_among_others(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
 ) -> None:
-    source, target = picture(texture, (0.0, 0.0)), picture(texture, (2.25, 1.125))
+    source, target = painted(texture, (0.0, 0.0)), painted(texture, (2.25, 1.125))
     together, _ = look(source, target, points, unknown(points), SETTINGS, workers)
     for i in (0, 41, 83):
         one = points[i : i + 1]
@@ -130,14 +130,14 @@ def test_one_point_alone_gives_the_same_as_among_others(
 def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
 ) -> None:
-    """Half of the picture moves far; its points are lost near their old places."""
+    """Half of the image moves far; its points are lost near their old places."""
     shift = np.array([44.0, 3.0])
-    source, target = picture(texture, (0.0, 0.0)), picture(texture, (0.0, 0.0))
-    target = np.hstack([target[:, :150], picture(texture, (44.0, 3.0))[:, 150:]])
+    source, target = painted(texture, (0.0, 0.0)), painted(texture, (0.0, 0.0))
+    target = np.hstack([target[:, :150], painted(texture, (44.0, 3.0))[:, 150:]])
     moved = points[:, 0] > 150
-    near = SETTINGS.model_copy(update={"klt_near_levels": 2, "klt_levels": 2})
+    near = SETTINGS.model_copy(update={"klt_levels": 3})
     pyramids = build_pyramid(source, near), build_pyramid(target, near)
-    first = follow(*pyramids, points, unknown(points), near, workers)
+    first = track_points(*pyramids, points, unknown(points), near, workers)
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
     again = recover_lost(*pyramids, points, first, (points + shift)[None], points, near, workers)
@@ -147,25 +147,15 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     flat = np.full_like(target, 128)
     flat[:, :150] = target[:, :150]
     pyramids = build_pyramid(source, near), build_pyramid(flat, near)
-    nowhere = follow(*pyramids, points, unknown(points), near, workers)
+    nowhere = track_points(*pyramids, points, unknown(points), near, workers)
     again = recover_lost(*pyramids, points, nowhere, (points + shift)[None], points, near, workers)
     assert not again.found[points[:, 0] > 170].any()
 
 
-def test_a_pyramid_stops_at_the_size_of_its_window() -> None:
-    """Levels are halves of each other, padded alike, and a picture of any size has one at least."""
-    settings = TrackerSettings(klt_window_px=11, klt_levels=5)
-    pyramid = build_pyramid(np.zeros((50, 80), dtype=np.uint8), settings)
-    margin = margin_of(11)
-    sides = [tuple(side - 2 * margin for side in level.shape) for level in pyramid.levels]
-    assert sides == [(50, 80), (25, 40), (13, 20)]
-    assert len(build_pyramid(np.zeros((9, 9), dtype=np.uint8), settings).levels) == 1
-
-
 def test_patches_are_found_farther_than_flow_reaches(texture: AnyArray) -> None:
-    before, after = (build_pyramid(picture(texture, s), SETTINGS) for s in ((0, 0), (36, 4)))
+    before, after = (build_pyramid(painted(texture, s), SETTINGS) for s in ((0, 0), (36, 4)))
     points = np.array([[120.0, 90.0], [180.0, 110.0], [1.0, 1.0]])
-    found = best_matching_places(before, after, points, points, 60.0)
+    found = match_templates(before, after, points, points, 60.0)
     np.testing.assert_allclose(found[:2] - points[:2], [[36.0, 4.0]] * 2, atol=1.01)
-    assert np.isnan(found[2]).all()  # its patch is not all in the picture
-    assert np.isnan(best_matching_places(before, after, points, points, 20.0)).all()
+    assert np.isnan(found[2]).all()  # its patch is not all in the image
+    assert np.isnan(match_templates(before, after, points, points, 20.0)).all()
