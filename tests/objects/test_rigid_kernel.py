@@ -15,8 +15,6 @@ from ovmot.objects.rigid_kernel import (
     TURN_PENALTY,
     best_motion,
     best_motion_compiled,
-    velocity_errors,
-    velocity_errors_compiled,
 )
 
 TURN = np.array([0.02, -0.01, 0.1, 0.5, -0.2, 1.5])
@@ -75,19 +73,3 @@ def test_the_search_equals_its_twin(
     np.testing.assert_allclose(T, expected[1], atol=1e-9)
     np.testing.assert_array_equal(inlier, expected[2])
     assert not inlier[:4].any() and inlier[4:].any()
-
-
-@pytest.mark.parametrize("errors", [velocity_errors, velocity_errors_compiled])
-def test_errors_of_the_way_are_traces_of_the_inverse(
-    errors: Callable[..., tuple[FloatArray, IntArray]],
-) -> None:
-    rng = np.random.default_rng(5)
-    L = rng.normal(0.0, 3.0, (4, 9, 3, 3))
-    information = L @ np.swapaxes(L, -1, -2)
-    weight = np.tile(np.eye(4), (4, 9, 1, 1))
-    weight[2, [1, 5]] = 0.0
-    index = np.array([1, 4, 5])
-    trace, count = errors(information, weight, index)
-    inverse = np.linalg.inv(information[:, index].sum(1) + 1e-6 * np.eye(3))
-    np.testing.assert_allclose(trace, np.trace(inverse, axis1=1, axis2=2), rtol=1e-8)
-    np.testing.assert_array_equal(count, [3, 3, 1, 3])

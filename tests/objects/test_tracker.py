@@ -10,7 +10,6 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.association import associate
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.settings import ObjectTrackSettings
@@ -74,7 +73,7 @@ def measure(
     return ObjectMeasurement(
         feature_id=body.feature_id, p_world=body.points + position, position=position + e[:3],
         velocity=velocity + e[3:], yaw_rate=body.yaw_rate + rng.normal(0.0, 0.05),
-        T_now_before=np.eye(4), span_s=0.1, covariance=P, excess=np.zeros((6, 6)),
+        T_now_before=np.eye(4), span_s=0.1, covariance=P, scaled_covariance=P,
         yaw_rate_variance=0.05**2, size=SIZE,
     )  # fmt: skip
 
@@ -342,19 +341,3 @@ def test_the_velocity_is_as_sure_as_it_says() -> None:
 def test_nothing_to_track() -> None:
     frames = run([], 0.5)
     assert all(tracks == () and len(owner) == 0 for _, tracks, owner in frames)
-
-
-def test_shared_features_and_gates_decide() -> None:
-    far = np.array([[30.0, 900.0], [900.0, 500.0]])
-    share, count = np.array([[0.9, 0.0], [0.0, 0.9]]), np.array([[5, 0], [0, 5]])
-    assert associate(far, share, count) == [(0, 0)]  # the second pair is absurdly far
-    assert associate(np.full((1, 1), 5.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == [(0, 0)]
-    assert associate(np.full((1, 1), 100.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == []
-
-
-def test_no_track_gives_way_to_make_another_pair_possible() -> None:
-    # the first track has nine tenths of the second body; a new one has a feature there as well,
-    # and the first body is within the first track's gate
-    distance = np.array([[20.0, 1.0], [500.0, 20.0]])
-    share = np.array([[0.0, 0.9], [0.0, 0.1]])
-    assert associate(distance, share, np.zeros((2, 2), dtype=np.int64)) == [(0, 1)]

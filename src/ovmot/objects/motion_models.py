@@ -1,4 +1,4 @@
-"""How a moving body goes on: models of its motion, each a function of a state and a time step.
+"""Motion models of a body, each a function of a state and a time step.
 
 State (7,): position x, y, z; velocity x, y, z; yaw rate about the vertical; in world, SI.
 """
@@ -16,8 +16,8 @@ N_STATE = 7
 
 @dataclass(frozen=True, slots=True)
 class Agility:
-    """How much a body may deviate from its model: accelerations along the ground and upwards in
-    m/s²/√Hz, the yaw rate's change in rad/s²/√Hz."""
+    """Process noise densities: accelerations along the ground and upwards in m/s²/√Hz, the yaw
+    acceleration in rad/s²/√Hz."""
 
     accel: float
     lift: float
@@ -34,7 +34,7 @@ class Step:
 
 
 def constant_velocity(state: FloatArray, dt: float, agility: Agility) -> Step:
-    """Straight on; the yaw rate is none."""
+    """Straight on; the yaw rate is zero."""
     F = np.eye(N_STATE)
     F[POSITION, VELOCITY] = dt * np.eye(3)
     F[YAW_RATE, YAW_RATE] = 0.0
@@ -45,7 +45,8 @@ def constant_velocity(state: FloatArray, dt: float, agility: Agility) -> Step:
 
 
 def constant_turn(state: FloatArray, dt: float, agility: Agility) -> Step:
-    """At constant speed and yaw rate (Y. Bar-Shalom et al. 2001, sec. 11.7), not rising faster."""
+    """Constant speed and yaw rate, constant vertical velocity (Y. Bar-Shalom et al. 2001, sec.
+    11.7)."""
     w = float(state[YAW_RATE])
     vx, vy = state[3], state[4]
     s, c, S, C, dS, dC = _turn(w, dt)
