@@ -25,7 +25,7 @@ def test_a_feature_is_placed_where_its_track_takes_it() -> None:
     track = make_track((12.0, 0.4, 0.8), (0.0, 4.0, 0.0), ids=(0, 1))
     now = POSITIONS + 0.1 * velocity
     before = feature_motions(np.zeros((2, 3)), POSITIONS)
-    placed = with_track_depths(monocular(now), [track], before, 0.1, T_WORLD_CAM0, small_rig())
+    placed = with_track_depths(monocular(now), [track], before, 0.1, T_WORLD_CAM0, small_rig(), 0.5)
     p_world = se3.apply(T_WORLD_CAM0, placed.p_cam0)
     np.testing.assert_allclose(p_world, now, atol=1e-9)
     variance, axes = np.linalg.eigh(placed.cov_cam0[0])
@@ -37,7 +37,7 @@ def test_a_feature_is_placed_where_its_track_takes_it() -> None:
 def test_a_feature_without_a_past_is_at_the_tracks_depth() -> None:
     track = make_track((12.0, 0.4, 0.8), (0.0, 4.0, 0.0), ids=(0, 1))
     placed = with_track_depths(
-        monocular(POSITIONS), [track], UNSEEN, 0.1, T_WORLD_CAM0, small_rig()
+        monocular(POSITIONS), [track], UNSEEN, 0.1, T_WORLD_CAM0, small_rig(), 0.5
     )
     np.testing.assert_allclose(placed.p_cam0[:, 2], 12.0)
 
@@ -49,6 +49,6 @@ def test_others_stay_without_a_position() -> None:
     other = make_track((12.0, 0.4, 0.8), (0.0, 4.0, 0.0), ids=(7,))
     for track in (across, along, other):
         placed = with_track_depths(
-            monocular(POSITIONS), [track], UNSEEN, 0.1, T_WORLD_CAM0, small_rig()
+            monocular(POSITIONS), [track], UNSEEN, 0.1, T_WORLD_CAM0, small_rig(), 0.5
         )
         assert np.isnan(placed.p_cam0).all()

@@ -10,13 +10,12 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.rigid_kernel import (
-    GATE,
     HEIGHT_SIGMAS,
-    TURN_PENALTY,
     best_motion,
     best_motion_compiled,
 )
 
+GATE, TURN_PENALTY = 18.5, 11.3
 TURN = np.array([0.02, -0.01, 0.1, 0.5, -0.2, 1.5])
 
 
@@ -36,7 +35,8 @@ def height(q: FloatArray) -> FloatArray:
 
 def twin(
     triples: IntArray, p: FloatArray, q: FloatArray, sigma: FloatArray, seen: FloatArray,
-    weight: FloatArray, T_cam1_cam0: FloatArray, least_cosine: float,
+    weight: FloatArray, T_cam1_cam0: FloatArray, least_cosine: float, gate: float,
+    turn_penalty: float,
 ) -> tuple[float, FloatArray, BoolArray]:  # fmt: skip
     """All proposals at once."""
     w = (sigma[triples] ** -2.0)[..., None]
@@ -47,10 +47,10 @@ def twin(
     T = np.concatenate([se3.make(np.eye(3), shift), rigid[slow]])
     r = seen - project_stereo(se3.apply(T[:, None], p), T_cam1_cam0)[0]
     distance = np.einsum("hni,nij,hnj->hn", r, weight, r)
-    penalty = np.repeat([0.0, TURN_PENALTY], [len(shift), int(slow.sum())])
-    cost = np.minimum(distance, GATE).sum(1) + penalty
+    penalty = np.repeat([0.0, turn_penalty], [len(shift), int(slow.sum())])
+    cost = np.minimum(distance, gate).sum(1) + penalty
     k = int(np.argmin(cost))
-    return float(cost[k]), T[k], distance[k] < GATE
+    return float(cost[k]), T[k], distance[k] < gate
 
 
 @pytest.mark.parametrize("search", [best_motion, best_motion_compiled])
@@ -66,7 +66,18 @@ def test_the_search_equals_its_twin(
     weight = L @ np.swapaxes(L, 1, 2) + 1e6 * np.eye(4)
     seen = project_stereo(q, rig.T_cam1_cam0)[0]
     triples = np.argsort(rng.random((24, 20)), axis=1)[:, :3].copy()
-    given = (triples, p, q, rng.uniform(0.02, 0.2, 20), seen, weight, rig.T_cam1_cam0, np.cos(0.3))
+    given = (
+        triples,
+        p,
+        q,
+        rng.uniform(0.02, 0.2, 20),
+        seen,
+        weight,
+        rig.T_cam1_cam0,
+        np.cos(0.3),
+        GATE,
+        TURN_PENALTY,
+    )
     expected = twin(*given)
     cost, T, inlier = search(*given)
     np.testing.assert_allclose(cost, expected[0], rtol=1e-9)

@@ -16,12 +16,9 @@ from ovmot.objects.track import (
     correlated_count,
     is_conclusive,
 )
+from ovmot.physics import CAR_SIZE_M, gate
 
-_VEHICLE_M = 4.5  # length
-_GATE = 22.5  # 99.9 % of chi-squared with 6 degrees of freedom
-_SHARED = 2  # common features by which a pair is possible outside the gate
-_SHARED_GATE = 3.0 * _GATE
-_UNASSIGNED = 2.0  # cost of the worst pair: no track gives way to make another one possible
+_SHARED = 2  # common features by which a pair is possible in a wider gate
 
 
 def associate(
@@ -75,7 +72,7 @@ def mahalanobis_distances(
     v = state[:, 3:]
     speed = np.hypot(v[:, 0], v[:, 1])
     heading = np.where(speed > DRIVES_MPS, 1.0, 0.0)[:, None] * v / np.maximum(speed, 1e-9)[:, None]
-    hidden = np.maximum(_VEHICLE_M - size[..., 0], 0.0) * CENTRE_SHARE
+    hidden = np.maximum(CAR_SIZE_M[0] - size[..., 0], 0.0) * CENTRE_SHARE
     S[..., :3, :3] += (hidden**2)[..., None, None] * (heading[:, :, None] * heading[:, None])[
         :, None
     ]
@@ -106,9 +103,11 @@ def assign(distance: FloatArray, share: FloatArray, count: IntArray) -> list[tup
 
     `distance` (T, M): squared Mahalanobis distances, 6 degrees of freedom; `share`, `count` (T, M):
     common features. A pair is possible within the gate, or with two common features within a wider
-    one.
+    one. A track without a measurement costs as much as the worst pair: none gives way to make
+    another pair possible.
     """
-    possible = (distance < _GATE) | ((count >= _SHARED) & (distance < _SHARED_GATE))
-    cost = np.minimum(distance / _GATE, 1.0) + (1.0 - share)
-    tracks, measurements = linear_sum_assignment(np.where(possible, cost, _UNASSIGNED))
+    narrow, wide = gate(6, 0.999), gate(6, 1.0 - 1e-12)
+    possible = (distance < narrow) | ((count >= _SHARED) & (distance < wide))
+    cost = np.minimum(distance / narrow, 1.0) + (1.0 - share)
+    tracks, measurements = linear_sum_assignment(np.where(possible, cost, 2.0))
     return [(int(i), int(j)) for i, j in zip(tracks, measurements, strict=True) if possible[i, j]]

@@ -14,6 +14,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance, stereo_covariance
 from ovmot.objects.clustering_kernel import components_compiled
+from ovmot.physics import TURN_SPREAD_MPS, gate
 from ovmot.segmentation.history_kernel import (
     displace_compiled,
     fit_velocities_compiled,
@@ -30,10 +31,8 @@ from ovmot.segmentation.stereo_history import (
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
-_SPREAD_SHARE = 0.05  # and as a share of the speed
-_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
+_SPREAD_SHARE = 0.05  # of the speed, by which points of one body may differ
 _REACH_SIGMAS = 2.0  # of the position, on top of the radius and of a gap
-_SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
 _NEIGHBOURS = 5  # two linked points are among each other's so many nearest ones
@@ -283,15 +282,25 @@ def _are_one_body(
     if distance[group[:, None], part].min() > reach:
         return False
     v_group, v_part = (_median(points.velocity[index]) for index in (group, part))
-    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_group))
-    C = spread**2 * np.eye(3)
-    for index in (group, part):
-        C = C + points.velocity_cov[index].mean(0) / len(index)
-    dv = v_group - v_part
-    if dv @ np.linalg.solve(C, dv) > _GATE:
+    C = sum(points.velocity_cov[index].mean(0) / len(index) for index in (group, part))
+    if not same_body_velocity(v_part, v_group, C, 0.99):
         return False
     lateral, sigma = _lateral_positions(points, np.concatenate([group, part]))
     return bool(np.ptp(lateral) - 2.0 * sigma < settings.body_width_m)
+
+
+def same_body_velocity(
+    velocity: FloatArray, of_body: FloatArray, covariance: FloatArray, probability: float
+) -> bool:
+    """May a velocity (3,) be that of a part of a body with velocity `of_body` (3,), in m/s?
+
+    `covariance` (3, 3): of their difference; to it comes the spread of velocities of a turning
+    body. `probability`: of being accepted, for a part of the body.
+    """
+    spread = TURN_SPREAD_MPS + _SPREAD_SHARE * float(np.linalg.norm(of_body))
+    C = covariance + spread**2 * np.eye(3)
+    dv = of_body - velocity
+    return bool(dv @ np.linalg.solve(C, dv) < gate(3, probability))
 
 
 def _compatible_pairs(track_ids: IntArray) -> BoolArray:
@@ -345,6 +354,6 @@ def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:
     """Which pairs (P,) have velocities that agree within their covariance."""
     a, b = pairs[:, 0], pairs[:, 1]
     dv = points.velocity[a] - points.velocity[b]
-    C = points.velocity_cov[a] + points.velocity_cov[b] + _SPEED_SPREAD**2 * np.eye(3)
-    agrees: BoolArray = squared_distance(dv, C) < _GATE
+    C = points.velocity_cov[a] + points.velocity_cov[b] + TURN_SPREAD_MPS**2 * np.eye(3)
+    agrees: BoolArray = squared_distance(dv, C) < gate(3, 0.99)
     return agrees

@@ -5,6 +5,7 @@ features. The motion of each feature, against the predicted one of a track, tell
 """
 
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
@@ -12,16 +13,15 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import positions
 from ovmot.geometry.triangulation import squared_distance
+from ovmot.physics import ACCEL_SIGMA_MPS2, gate
 from ovmot.types import ScenePoints
 
 _MEMORY_S = 0.8
-_SHORTEST_S = 0.05
-_ACCEL_SIGMA = 2.0  # m/s²: how much a road user's velocity changes
 SPEED_SPREAD = 0.2
 """m/s by which features of one body may differ."""
-_CHOSEN_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
 _LEAST_REACH_MPS, _SPEED_REACH = 1.0, 0.3  # how far off a joining feature's velocity may be
-_BETTER_THAN_REST = 9.0  # squared sigmas by which a body's motion must explain more than rest
+CLEARLY = 2.0 * log(100.0)
+"""Difference of squared Mahalanobis distances of which one motion is a hundred times likelier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +89,10 @@ class FeatureHistory:
         """
         n = len(self._feature_id)
         age_s = 1e-9 * (self._stamps[-1] - self._stamps)
-        then = np.isfinite(self._p_world[..., 0]) & (age_s > _SHORTEST_S)[:, None]
+        then = np.isfinite(self._p_world[..., 0]) & (age_s > 0.0)[:, None]
         dt = np.where(then, age_s[:, None], np.nan)
         spread = (self._covariance[-1] + self._covariance) / dt[..., None, None] ** 2
-        changed = (0.5 * _ACCEL_SIGMA * dt) ** 2
+        changed = (0.5 * ACCEL_SIGMA_MPS2 * dt) ** 2
         error = np.where(then, np.trace(spread, axis1=2, axis2=3) + 3.0 * changed, np.inf)
         row, columns = np.argmin(error, axis=0), np.arange(n)
         displacement = self._p_world[-1] - self._p_world[row, columns]
@@ -123,8 +123,8 @@ def moving_with(
     near_speed = np.linalg.norm(dv, axis=1) < np.maximum(
         _LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity))
     )
-    same = (from_body < _CHOSEN_GATE) & near_speed
-    with_body[index] = same & (from_rest > from_body + _BETTER_THAN_REST)
+    same = (from_body < gate(3, 0.99)) & near_speed
+    with_body[index] = same & (from_rest > from_body + CLEARLY)
     return with_body
 
 

@@ -15,22 +15,20 @@ from ovmot.objects.clustering import (
     group_points,
     majority_track,
     motion_history,
+    same_body_velocity,
 )
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
 from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion, known_part
+from ovmot.physics import gates
 from ovmot.settings import ObjectSettings
 from ovmot.types import PoseWindow, ScenePoints
 
 _LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
 _STEEPEST = 0.1  # slope of a road
 _YAW_KNOWN = 0.5  # of the prior's standard deviation: below, the points have measured the yaw rate
-_DEPTH_SIGNAL = 3.0  # variance of depths by that of their noise, from which turns are estimated
 _FEW = 4  # points that may be a part of a body of another group
 _REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
-_SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
-_SPREAD_SHARE = 0.05  # and as a share of the speed
-_SAME_GATE = 7.81  # 95 % of chi-squared with 3 degrees of freedom
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,14 +154,14 @@ def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -
     """Of which of B bodies is the turn rate observable (B,)?
 
     `index`, `body` (M,): points and their bodies. In a turn, points at different depths move apart
-    in the image: the depths must differ by more than their noise.
+    in the image: the depths must differ by more than their noise, by a chi-squared test.
     """
     n = np.bincount(body)
     z = history.p_cam0[index, 2]
     deviation = z - (np.bincount(body, z) / n)[body]
-    scatter = np.bincount(body, deviation**2) / (n - 1)
+    scatter = np.bincount(body, deviation**2)
     noise = np.bincount(body, history.cov_cam0[index, 2, 2]) / n
-    return np.asarray(scatter > _DEPTH_SIGNAL * noise)
+    return np.asarray(scatter > gates(np.asarray(n - 1.0, np.float64), 0.99) * noise)
 
 
 def _views_of(
@@ -339,7 +337,5 @@ def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: Objec
     distance = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
     C = body.covariance + larger.covariance
     reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
-    dv = body.velocity - larger.velocity
-    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(larger.velocity))
-    C_v = C[3:, 3:] + spread**2 * np.eye(3)
-    return bool(distance < reach and dv @ np.linalg.solve(C_v, dv) < _SAME_GATE)
+    same = same_body_velocity(body.velocity, larger.velocity, C[3:, 3:], 0.95)
+    return bool(distance < reach and same)

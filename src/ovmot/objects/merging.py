@@ -8,15 +8,12 @@ import numpy as np
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import DRIVES_MPS, Track, TrackState
 from ovmot.objects.track_box import centre_distances
+from ovmot.physics import CAR_SIZE_M, MAX_VEHICLE_SIZE_M, gate
 from ovmot.settings import ObjectTrackSettings
 
 _SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
-_ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
-_LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two centres are of one vehicle
 _FEW_OF_MANY = 0.1
 _GAP_M = 2.5  # without features, between two ends of a lorry
-_BODY_WIDTH_M = 3.2  # boxes of few points are too wide
-_WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
 _SIGMAS = 3.0  # of the position of a coasting track
 BESIDE_NS = 500_000_000
 """Two tracks that were seen together for so long are two bodies."""
@@ -49,7 +46,7 @@ def _may_be_part_of(track: Track, other: Track) -> bool:
     """Can a new track be another part of a vehicle that has a track?"""
     along, across = centre_distances(track, other)
     gap = along - 0.5 * (track.size[0] + other.size[0])
-    return bool(gap < _GAP_M and across < _BODY_WIDTH_M and _same_velocity(track, other))
+    return bool(gap < _GAP_M and across < MAX_VEHICLE_SIZE_M[1] and _same_velocity(track, other))
 
 
 def _merge(track: Track, other: Track) -> Track:
@@ -71,7 +68,9 @@ def _are_duplicates(track: Track, other: Track) -> bool:
     reach = 0.5 * (other.size + np.minimum(track.size, other.size))
     near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
     driving = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
-    near |= driving and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
+    near |= (
+        driving and along < CAR_SIZE_M[0] and across < 0.5 * CAR_SIZE_M[1]
+    )  # two ends of a vehicle
     near |= driving and _is_far_end(track, other, along, across)
     return bool(near and _same_velocity(track, other))
 
@@ -91,7 +90,7 @@ def _same_velocity(track: Track, other: Track) -> bool:
     dv = track.velocity - other.velocity
     P = sum(t.filter.best.covariance[VELOCITY, VELOCITY] for t in (track, other))
     C = P + _SPEED_SPREAD**2 * np.eye(3)
-    equal = dv @ np.linalg.solve(C, dv) < _ALIKE_GATE
+    equal = dv @ np.linalg.solve(C, dv) < gate(3, 0.99)
     return bool(equal and np.linalg.norm(dv) < _SAME_SPEED_MPS)
 
 
@@ -100,11 +99,11 @@ def _is_far_end(track: Track, other: Track, along: float, across: float) -> bool
     few = len(track.feature_id) < _FEW_OF_MANY * len(other.feature_id)
     gap = along - 0.5 * (track.size[0] + other.size[0])
     width = across + 0.5 * (track.size[1] + other.size[1])
-    return bool(few and gap < _GAP_M and width < _BODY_WIDTH_M)
+    return bool(few and gap < _GAP_M and width < MAX_VEHICLE_SIZE_M[1])
 
 
 def _is_within(track: Track, other: Track) -> bool:
     """Is a track's centre inside the box of another one with more features?"""
     along, across = centre_distances(track, other)
-    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], _WIDTH_M)
+    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], CAR_SIZE_M[1])
     return bool(inner and len(track.feature_id) < len(other.feature_id))

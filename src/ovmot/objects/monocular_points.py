@@ -14,13 +14,11 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import contained, positions
 from ovmot.objects.feature_motions import FeatureMotions
-from ovmot.objects.track import Track, TrackState
+from ovmot.objects.track import ACROSS_SHARE, Track, TrackState
+from ovmot.physics import CAR_SIZE_M
 from ovmot.types import ScenePoints
 
-_PIXEL_SIGMA = 0.5
-_DEPTH_SIGMA_M = 4.0  # so great that nothing is measured along the ray
 _LEAST_DEPTH_M = 0.5
-_ACROSS = 0.5  # of the velocity along the ray, that one across it must be at least
 
 
 def with_track_depths(
@@ -30,10 +28,13 @@ def with_track_depths(
     since_s: float,
     T_world_cam0: FloatArray,
     rig: StereoRig,
+    pixel_sigma: float,
 ) -> ScenePoints:
     """The points, those of confirmed `tracks` without a stereo match at their track's depth.
 
-    `tracks` are predicted to now; `before`: the features' positions `since_s` ago.
+    `tracks` are predicted to now; `before`: the features' positions `since_s` ago;
+    `pixel_sigma`: standard deviation of a pixel coordinate. Along the ray it is a car's length: so
+    great that nothing is measured along it.
     """
     monocular = ~np.isfinite(points.p_cam0[:, 2])
     last = _last_positions(before, points.feature_id)
@@ -47,8 +48,8 @@ def with_track_depths(
     index = np.flatnonzero(depth > _LEAST_DEPTH_M)
     depth, xy = depth[index], rig.cam0.normalize(points.pixels[index, :2])
     ray = np.column_stack([xy, np.ones(len(index))])
-    across = (_PIXEL_SIGMA / rig.cam0.fx * depth) ** 2
-    along = _DEPTH_SIGMA_M**2 * ray[:, :, None] * ray[:, None]
+    across = (pixel_sigma / rig.cam0.fx * depth) ** 2
+    along = CAR_SIZE_M[0] ** 2 * ray[:, :, None] * ray[:, None]
     p_cam0, cov_cam0 = points.p_cam0.copy(), points.cov_cam0.copy()
     p_cam0[index] = ray * depth[:, None]
     cov_cam0[index] = across[:, None, None] * np.eye(3) + along
@@ -60,7 +61,7 @@ def _moves_across(track: Track, T_world_cam0: FloatArray) -> bool:
     ray = track.position - T_world_cam0[:3, 3]
     along = float(track.velocity @ ray) / max(float(np.linalg.norm(ray)), _LEAST_DEPTH_M)
     across_squared = float(track.velocity @ track.velocity) - along**2
-    return across_squared > (_ACROSS * along) ** 2
+    return across_squared > (ACROSS_SHARE * along) ** 2
 
 
 def _last_positions(before: FeatureMotions, feature_id: IntArray) -> FloatArray:

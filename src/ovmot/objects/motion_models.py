@@ -40,7 +40,7 @@ def constant_velocity(state: FloatArray, dt: float, agility: Agility) -> Step:
     F[YAW_RATE, YAW_RATE] = 0.0
     moved = F @ state
     Q = _noise(dt, agility)
-    Q[YAW_RATE, YAW_RATE] = _NO_TURN**2
+    Q[YAW_RATE, YAW_RATE] = 1e-6  # rad²/s²: zero, but regular
     return Step(moved, F, Q)
 
 
@@ -65,15 +65,13 @@ MOTION_MODELS: dict[str, MotionModel] = {
     "constant_velocity": constant_velocity,
     "constant_turn": constant_turn,
 }
-_NO_TURN = 1e-3
-_STRAIGHT = 1e-3  # rad: below, the turn's integrals by series
 
 
 def _turn(w: float, dt: float) -> tuple[float, float, float, float, float, float]:
     """sin, cos of w dt; ∫cos, ∫sin over the step, and the derivatives of these two by w."""
     a = w * dt
     s, c = np.sin(a), np.cos(a)
-    if abs(a) < _STRAIGHT:
+    if abs(a) < 1e-3:  # rad: the series, to 1e-12 exact
         return s, c, dt * (1.0 - a * a / 6.0), dt * a / 2.0, -(dt**2) * a / 3.0, dt**2 / 2.0
     S, C = s / w, (1.0 - c) / w
     return s, c, S, C, (dt * c - S) / w, (dt * s - C) / w

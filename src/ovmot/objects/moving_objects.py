@@ -66,7 +66,7 @@ class MovingObjects:
         measurements = measure_objects(
             table, points, window, rig, self._settings, pixel_sigma, self._rng
         )
-        tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0)
+        tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0, pixel_sigma)
         held = held_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.predicted_velocities(points)
         uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0, self._focus_width_m)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.feature_motions import FeatureMotions, distances_from_rest_and_body
+from ovmot.objects.feature_motions import CLEARLY, FeatureMotions, distances_from_rest_and_body
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import Track, TrackState
 from ovmot.objects.track_box import points_in_boxes
@@ -19,7 +19,6 @@ _MOVING_MPS = 1.0  # the pace of a slow walker
 _LIKELIER = 0.43  # sigmas: a Gaussian has a third of its weight beyond
 _LATE_S = 0.1  # a velocity is that of the middle of the time it was measured over
 _STEADY = 0.5  # m/s²: noise of the change of a velocity
-_CLEAR = 9.0  # squared sigmas by which rest must fit a point of a moving body better
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,5 +101,5 @@ def _checked_for_rest(
     unclear = np.where(of_track, from_rest < from_body, static & (from_rest > from_body))
     out = label.copy()
     out[index[unclear]] = int(PointLabel.UNKNOWN)
-    out[index[of_track & (from_rest + _CLEAR < from_body)]] = int(PointLabel.STATIC)
+    out[index[of_track & (from_rest + CLEARLY < from_body)]] = int(PointLabel.STATIC)
     return out

@@ -9,19 +9,17 @@ B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1), all bodies of a frame in
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.refinement_kernel import Reduced, WeightedViews, reduce_points_compiled
+from ovmot.physics import gates
 from ovmot.settings import ObjectSettings
 
 _ITERATIONS = 6
 _WIDE_ITERATIONS = 2  # the first ones, with a wider bound for outliers
 _SMALL_STEP = 0.02  # squared sigmas: a step that ends the iterations
-_HUBER_SHARE = 0.1  # of inliers beyond the quadratic part of the loss
-_OUTLIER_SHARE = 0.001  # of inliers that are rejected
 _PRIOR_DOF = 20.0  # weight of the prior noise in the variance factor, degrees of freedom
 _MIN_INVERSE_DEPTH = 1e-3
 
@@ -90,8 +88,7 @@ def refine_bodies(
     prior[may_turn, 2] = settings.yaw_rate_sigma_rps**-2.0
     weighted, valid = weighted_views(views, rig, settings, pixel_sigma)
     dof = 4 * valid.sum(0) - 3
-    huber = np.sqrt(chdtri(dof, _HUBER_SHARE))
-    bound = chdtri(dof, _OUTLIER_SHARE)
+    huber, bound = np.sqrt(gates(dof, 0.9)), gates(dof, 0.999)
     point = np.column_stack([p_cam0[:, :2], np.ones(len(p_cam0))]) / p_cam0[:, 2:]
     prior_information = np.eye(6) * (prior[:, None] + 1e-6)
     for iteration in range(_ITERATIONS):

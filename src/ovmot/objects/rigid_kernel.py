@@ -11,9 +11,8 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
-GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
-HEIGHT_SIGMAS = 4.0  # a triangle flatter than this many sigmas of its corners has no rotation
-TURN_PENALTY = 11.34  # a rotation must explain as much more: 99 % of chi-squared, 3 more unknowns
+HEIGHT_SIGMAS = 4.0
+"""A triangle flatter than this many sigmas of its corners has no rotation."""
 
 
 def best_motion(
@@ -25,6 +24,8 @@ def best_motion(
     weight: FloatArray,
     T_cam1_cam0: FloatArray,
     least_cosine: float,
+    gate: float,
+    turn_penalty: float,
 ) -> tuple[float, FloatArray, BoolArray]:
     """The cost, motion (4, 4) and inliers (n,) of the best of all proposals p -> q.
 
@@ -32,7 +33,8 @@ def best_motion(
     cosine of its turn is below `least_cosine`, its rigid motion. `p`, `q` (n, 3): points then and
     now in the left camera, `sigma` (n,): their standard deviations, metres. `seen` (n, 4): the
     normalized coordinates now in both views, `weight` (n, 4, 4): their inverse covariance. The cost
-    is the sum of squared Mahalanobis distances, each at most `GATE`.
+    is the sum of squared Mahalanobis distances, each at most `gate`, plus `turn_penalty` for a
+    motion with a rotation.
     """
     best_cost, best, T = np.inf, np.eye(4), np.eye(4)
     inlier = np.zeros(len(p), dtype=np.bool_)
@@ -44,7 +46,7 @@ def best_motion(
                 T[a, b] = 1.0 if a == b else 0.0
             moved = wi * (q[i, a] - p[i, a]) + wj * (q[j, a] - p[j, a]) + wk * (q[k, a] - p[k, a])
             T[a, 3] = moved / (wi + wj + wk)
-        cost = _cost(T, p, seen, weight, T_cam1_cam0, best_cost)
+        cost = _cost(T, p, seen, weight, T_cam1_cam0, gate, best_cost)
         if cost < best_cost:
             best_cost = cost
             _copy(T, best)
@@ -54,12 +56,12 @@ def best_motion(
         _register(p[i], p[j], p[k], q[i], q[j], q[k], T)
         if not 0.5 * (T[0, 0] + T[1, 1] + T[2, 2] - 1.0) > least_cosine:
             continue
-        cost = TURN_PENALTY + _cost(T, p, seen, weight, T_cam1_cam0, best_cost - TURN_PENALTY)
+        cost = turn_penalty + _cost(T, p, seen, weight, T_cam1_cam0, gate, best_cost - turn_penalty)
         if cost < best_cost:
             best_cost = cost
             _copy(T, best)
     for n in range(len(p)):
-        inlier[n] = _distance(best, p[n], seen[n], weight[n], T_cam1_cam0) < GATE
+        inlier[n] = _distance(best, p[n], seen[n], weight[n], T_cam1_cam0) < gate
     return best_cost, best, inlier
 
 
@@ -78,12 +80,13 @@ def _cost(
     seen: FloatArray,
     weight: FloatArray,
     T_cam1_cam0: FloatArray,
+    gate: float,
     bound: float,
 ) -> float:
-    """Sum of squared distances, each at most `GATE`; stops once it is beyond the bound."""
+    """Sum of squared distances, each at most `gate`; stops once it is beyond the bound."""
     total = 0.0
     for n in range(len(p)):
-        total += min(_distance(T, p[n], seen[n], weight[n], T_cam1_cam0), GATE)
+        total += min(_distance(T, p[n], seen[n], weight[n], T_cam1_cam0), gate)
         if total >= bound:
             break
     return total

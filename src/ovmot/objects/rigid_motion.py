@@ -9,13 +9,13 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.clustering import MotionHistory
 from ovmot.objects.clustering_kernel import displacement_errors_compiled
 from ovmot.objects.rigid_kernel import best_motion_compiled
+from ovmot.physics import MAX_YAW_RATE_RPS, gate
 from ovmot.settings import ObjectSettings
 
 _SHARE_OF_POINTS = 0.7  # of the row with most points, that a row must hold to be used
 _BATCH = 24  # triples drawn at once
 _MAX_BATCHES = 4
 _MISS = 0.01  # accepted probability that every triple had an outlier
-_MAX_RATE = 2.0  # rad/s, beyond what a body on a road turns by
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +89,16 @@ def ransac_motion(
     p, q = points.predicted[row, index], points.p_cam0[index]
     sigma = np.sqrt(points.cov_cam0[index, 2, 2])
     seen, weight = points.history.now[index], points.weight[row, index]
-    least_cosine = float(np.cos(_MAX_RATE * points.history.span_s[row]))
+    least_cosine = float(np.cos(MAX_YAW_RATE_RPS * points.history.span_s[row]))
+    # a rotation has three more unknowns, and must explain that much more
+    inlier_gate, turn_penalty = gate(4, 0.999), gate(3, 0.99)
     best_cost, best_T = np.inf, np.eye(4)
     best = np.zeros(n, dtype=np.bool_)
     for drawn in range(_BATCH, _BATCH * _MAX_BATCHES + 1, _BATCH):
         cost, T, inlier = best_motion_compiled(
-            _triples(n, rng), p, q, sigma, seen, weight, T_cam1_cam0, least_cosine
-        )
+            _triples(n, rng), p, q, sigma, seen, weight, T_cam1_cam0, least_cosine, inlier_gate,
+            turn_penalty,
+        )  # fmt: skip
         if cost < best_cost:
             best_cost, best_T, best = cost, T, inlier
         share = np.count_nonzero(best) / n

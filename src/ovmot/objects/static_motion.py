@@ -4,11 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
+from ovmot.physics import gate
 from ovmot.settings import ObjectSettings
 
 
@@ -35,7 +35,7 @@ def is_static_by_covariance(motion: FoundMotion, rig: StereoRig, settings: Objec
     v, variance = known_part(motion.velocity, motion.covariance, settings.max_speed_sigma_mps)
     if len(v) == 0:
         return True
-    return float((v**2 / variance).sum()) < float(chdtri(len(v), settings.static_false_alarm))
+    return float((v**2 / variance).sum()) < gate(len(v), 1.0 - settings.static_false_alarm)
 
 
 def known_part(

@@ -17,6 +17,7 @@ from ovmot.objects.object_filter import (
     start_filter,
     update,
 )
+from ovmot.physics import MAX_VEHICLE_SIZE_M, ROAD_SPEED_SIGMA_MPS, gate
 from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
@@ -26,14 +27,10 @@ DRIVES_MPS = 3.0
 """Faster than who walks."""
 _MOVING_MPS = 0.5  # slower, the velocity has no direction
 _MANY_FEATURES = 5  # with one velocity are not by chance: two measurements are enough
-_SURELY_MOVES = 40.0  # squared sigmas from rest: less than 1e-8 by chance, as two measurements
-_ACROSS = 0.5  # of the velocity along the ray, that one across it must be at least
-_ROAD_USER = Observation(  # prior of a velocity
-    np.eye(3, N_STATE, VELOCITY.start), np.zeros(3), np.diag([10.0, 10.0, 0.5]) ** 2
-)
+ACROSS_SHARE = 0.5
+"""Of the velocity along the ray, that one across it must be at least."""
 _GROWTH = 0.5  # gain towards a greater size
 _SHRINK = 0.97  # of the size, where a measurement shows less
-_BIGGEST = np.array([20.0, 4.0, 5.0])
 
 
 class TrackState(StrEnum):
@@ -114,13 +111,16 @@ def start_track(track_id: int, now_ns: int, measurement: ObjectMeasurement) -> T
     Its velocity has the prior of road users' velocities, which matters along the ray of far bodies.
     """
     size = measurement.size
-    body = update(start_filter(now_ns, as_observation(measurement, size, None)), _ROAD_USER)
+    prior = Observation(
+        np.eye(3, N_STATE, VELOCITY.start), np.zeros(3), np.diag(ROAD_SPEED_SIGMA_MPS) ** 2
+    )
+    body = update(start_filter(now_ns, as_observation(measurement, size, None)), prior)
     return Track(
         track_id=track_id,
         state=TrackState.CONFIRMED if is_conclusive(measurement) else TrackState.TENTATIVE,
         filter=body,
         offset=np.zeros(3),
-        size=np.minimum(size, _BIGGEST),
+        size=np.minimum(size, MAX_VEHICLE_SIZE_M),
         yaw=_heading(body.best.state[VELOCITY]),
         feature_id=np.sort(measurement.feature_id),
         born_ns=now_ns,
@@ -143,8 +143,9 @@ def is_conclusive(measurement: ObjectMeasurement) -> bool:
     variance, axes = np.linalg.eigh(measurement.covariance[3:, 3:])
     squared = (axes.T @ measurement.velocity) ** 2
     from_rest = float((squared[:2] / variance[:2]).sum())
-    across = float(squared[:2].sum()) > _ACROSS**2 * float(squared[2])
-    return len(measurement.feature_id) >= _MANY_FEATURES and from_rest > _SURELY_MOVES and across
+    across = float(squared[:2].sum()) > ACROSS_SHARE**2 * float(squared[2])
+    moves = from_rest > gate(2, 1.0 - 1e-8)  # as two measurements of a false alarm of 1e-4 each
+    return len(measurement.feature_id) >= _MANY_FEATURES and moves and across
 
 
 def predict_track(track: Track, now_ns: int, settings: ObjectTrackSettings) -> Track:
@@ -182,7 +183,7 @@ def update_track(
         state=TrackState.CONFIRMED if confirmed else TrackState.TENTATIVE,
         filter=body,
         offset=measurement.position - body.best.state[:3],
-        size=np.minimum(size, _BIGGEST),
+        size=np.minimum(size, MAX_VEHICLE_SIZE_M),
         yaw=_heading(velocity) if fast else track.yaw,
         feature_id=union(track.feature_id, measurement.feature_id),
         measured_ns=now_ns,

@@ -51,12 +51,16 @@ class ObjectTracker:
         measurements: Sequence[ObjectMeasurement],
         points: ScenePoints,
         T_world_cam0: FloatArray,
+        pixel_sigma: float,
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
-        """The tracks of this frame, and its points with their tracks' ids and labels."""
+        """The tracks of this frame, and its points with their tracks' ids and labels.
+
+        `pixel_sigma`: standard deviation of a pixel coordinate of the points.
+        """
         settings, rig = self._settings, self._rig
         # 1 predict the tracks, and measure each feature's motion
         tracks = [predict_track(track, timestamp_ns, settings) for track in self._tracks]
-        motions = self._feature_motions(timestamp_ns, points, tracks, T_world_cam0)
+        motions = self._feature_motions(timestamp_ns, points, tracks, T_world_cam0, pixel_sigma)
         # 2 associate measurements with tracks
         out_of_view = np.array([_has_left(t, T_world_cam0, rig) for t in tracks], dtype=np.bool_)
         matches = associate(tracks, measurements, out_of_view, timestamp_ns)
@@ -79,12 +83,19 @@ class ObjectTracker:
         return output, label_points(timestamp_ns, points, track_id, self._tracks, motions, before)
 
     def _feature_motions(
-        self, now_ns: int, points: ScenePoints, tracks: Sequence[Track], T_world_cam0: FloatArray
+        self,
+        now_ns: int,
+        points: ScenePoints,
+        tracks: Sequence[Track],
+        T_world_cam0: FloatArray,
+        pixel_sigma: float,
     ) -> FeatureMotions:
         """Motions of the features of this frame; those of tracks need the left camera only."""
         since_s, self._last_ns = 1e-9 * (now_ns - self._last_ns), now_ns
         before = self._history.last
-        placed = with_track_depths(points, tracks, before, since_s, T_world_cam0, self._rig)
+        placed = with_track_depths(
+            points, tracks, before, since_s, T_world_cam0, self._rig, pixel_sigma
+        )
         return self._history.add(now_ns, placed, T_world_cam0)
 
     def _updated(

@@ -16,13 +16,11 @@ from ovmot.objects.feature_motions import SPEED_SPREAD, FeatureMotions, moving_w
 from ovmot.objects.merging import BESIDE_NS
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.object_filter import distance, observe, update
-from ovmot.objects.track import Track, TrackState
+from ovmot.objects.track import Track, TrackState, centre_sigma
+from ovmot.physics import MAX_ACCEL_MPS2, gate
 
 _MIN_FEATURES = 3
 _MOST_FEATURES = 24  # of one body: more add little
-_AGREE_SIGMAS = 3.0
-_GATE = 25.0  # beyond: the features are those of something else
-_MAX_ACCEL, _SIGMAS = 8.0, 3.0  # m/s²: a car on its brakes
 _MIN_FOUND = 2  # features with a track's velocity in its box by which it is found again
 
 
@@ -60,7 +58,7 @@ def update_unmeasured(
             continue
         R = _with_centre_variance(body, track)
         observation = observe(body.position - track.offset, body.velocity, R)
-        if distance(track.filter, observation) > _GATE:
+        if distance(track.filter, observation) > gate(6, 0.999):  # of something else
             continue
         updated = update(track.filter, observation)
         return replace(
@@ -129,7 +127,7 @@ def _is_feasible(track: Track, body: UnmeasuredBody, now_ns: int) -> bool:
     Not by an acceleration beyond a road user's, and not where rest explains the velocity better
     than the hardest braking: then the features are static ones that the body has left behind.
     """
-    most = _MAX_ACCEL * 1e-9 * (now_ns - track.updated_ns)
+    most = MAX_ACCEL_MPS2 * 1e-9 * (now_ns - track.updated_ns)
     C = body.covariance[3:, 3:]
     change = body.velocity - track.velocity
     size = max(float(np.linalg.norm(change)), 1e-9)
@@ -138,7 +136,7 @@ def _is_feasible(track: Track, body: UnmeasuredBody, now_ns: int) -> bool:
     braked = track.velocity * max(1.0 - most / max(speed, 1e-9), 0.0)
     residual = np.stack([body.velocity - braked, body.velocity])
     from_braked, from_rest = (residual * np.linalg.solve(C, residual.T).T).sum(1)
-    return bool(size < most + _SIGMAS * sigma and from_braked <= from_rest)
+    return bool(size < most + 3.0 * sigma and from_braked <= from_rest)
 
 
 def _missed(track: Track) -> Track:
@@ -151,7 +149,7 @@ def _missed(track: Track) -> Track:
 def _with_centre_variance(body: UnmeasuredBody, track: Track) -> FloatArray:
     """The covariance (6, 6), with that of the centre of whatever parts of the body are seen."""
     P = body.covariance.copy()
-    P[:3, :3] += (0.25 * float(track.size.max())) ** 2 * np.eye(3)
+    P[:3, :3] += centre_sigma(track.size) ** 2 * np.eye(3)
     return P
 
 
@@ -173,7 +171,7 @@ def _largest_consensus(
     """The largest set (N,) of features whose velocities agree with that of one of them."""
     dv = velocity[:, None] - velocity[None]
     spread = C[:, None] + C[None] + SPEED_SPREAD**2 * np.eye(3)
-    votes = squared_distance(dv, spread) < _AGREE_SIGMAS**2
+    votes = squared_distance(dv, spread) < gate(3, 0.975)
     # among equals the one nearest to the track's velocity
     off = np.linalg.norm(velocity - track_velocity, axis=1)
     return np.asarray(votes[int(np.lexsort((off, -votes.sum(1)))[0])])
