@@ -23,6 +23,11 @@ MAX_ACCEL_MPS2 = 8.0
 """Hardest braking of a road user: 0.8 g, the friction of tyres on dry asphalt."""
 ACCEL_SIGMA_MPS2 = 1.5
 """Standard deviation of a road user's acceleration along and across its way in ordinary traffic."""
+TURN_SPREAD_MPS = 0.5
+"""Velocities of points of one turning body differ by this: 0.4 rad/s at 1.25 m from its centre."""
+ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
+"""Standard deviation of a road user's velocity in either level direction and upwards: 36 km/h, and
+a slope of 5 % at that speed."""
 MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)

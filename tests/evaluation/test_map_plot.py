@@ -1,7 +1,7 @@
 """The map: paths and tracks in the truth's world."""
 
 import numpy as np
-from object_fixtures import objects_at, tracks_at
+from true_objects import objects_at, tracks_at
 
 from ovmot.evaluation.ego import EgoSeries
 from ovmot.evaluation.map_plot import map_figure

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from object_fixtures import objects_at, tracks_at
+from true_objects import objects_at, tracks_at
 
 from ovmot.datasets.truth import TrueObjects
 from ovmot.evaluation.matching import (

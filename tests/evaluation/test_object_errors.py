@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from object_fixtures import objects_at, tracks_at
+from true_objects import objects_at, tracks_at
 
 from ovmot.evaluation.matching import (
     ComparedFrame,

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from object_fixtures import objects_at, tracks_at
 from scipy.spatial.transform import Rotation
+from true_objects import objects_at, tracks_at
 
 from ovmot.datasets.pose_files import write_tum
 from ovmot.datasets.truth import read_ego_truth
