@@ -1,6 +1,7 @@
 """Events that are not what they promise are refused with their stamp, before anything is done."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from ovmot.types import Event, FeatureFrame, ImuSample, StereoFrame
 IMAGE = np.zeros((240, 320), dtype=np.uint8)
 FRAME = StereoFrame(7, IMAGE, IMAGE)
 SAMPLE = ImuSample(7, np.zeros(3), np.array([0.0, 0.0, 9.81]))
+NUMPY_STAMP: Any = np.int64(7)
+SECONDS: Any = 1.5
 FEATURES = FeatureFrame(7, np.arange(5), np.full((5, 4), 50.0))
 
 
@@ -22,7 +25,7 @@ FEATURES = FeatureFrame(7, np.arange(5), np.full((5, 4), 50.0))
         FRAME,
         replace(FRAME, left_mask=IMAGE, right_mask=IMAGE),
         SAMPLE,
-        replace(SAMPLE, timestamp_ns=np.int64(7)),
+        replace(SAMPLE, timestamp_ns=NUMPY_STAMP),
         FEATURES,
         FeatureFrame(7, np.arange(0), np.empty((0, 4))),
     ],
@@ -40,7 +43,7 @@ def test_good_events(painted_rig: StereoRig, event: Event) -> None:
         (replace(FRAME, left=np.dstack([IMAGE] * 3)), "frame 7: the left image"),
         (replace(FRAME, left=IMAGE.astype(np.float32)), "frame 7: the left image .* uint8"),
         (replace(FRAME, right_mask=IMAGE[1:]), "frame 7: the right mask"),
-        (replace(FRAME, timestamp_ns=1.5), r"stamp 1\.5: write it as a whole number of ns"),
+        (replace(FRAME, timestamp_ns=SECONDS), r"stamp 1\.5: write it as a whole number of ns"),
         (replace(SAMPLE, gyro=np.zeros(2)), "IMU sample 7: gyro must be three finite numbers"),
         (replace(SAMPLE, accel=np.full(3, np.nan)), "IMU sample 7: accel"),
         (replace(FEATURES, pixels=np.zeros((4, 4))), "frame 7: features must be N ids"),

@@ -1,4 +1,4 @@
-"""The pipeline on painted pictures: order of events, the filter, given poses, refused matches."""
+"""The pipeline on painted images: order of events, the filter, given poses, refused matches."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -335,7 +335,7 @@ def spy(monkeypatch: pytest.MonkeyPatch) -> UpdateSpy:
 def test_a_refused_right_observation_never_reaches_the_filter(
     painted_rig: StereoRig, painted_pair: Pair, spy: UpdateSpy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Part of the right picture stands 6 px too high: its matches break the epipolar constraint.
+    """Part of the right image stands 6 px too high: its matches break the epipolar constraint.
 
     None of them is in a result, in the track table or in what the filter is given, in no frame;
     their left halves are.

@@ -9,7 +9,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError
 from ovmot.feature_table import FeatureTable
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.types import (
     EgoEstimate,
     Event,
@@ -158,13 +158,19 @@ def check_event(event: Event, rig: StereoRig) -> None:
         if np.shape(event.pixels) != (*np.shape(event.feature_id)[:1], 4):
             raise DatasetError(f"frame {stamp}: features must be N ids and pixels (N, 4)")
         return
-    sides = (("left", event.left, event.left_mask), ("right", event.right, event.right_mask))
-    for (name, image, mask), camera in zip(sides, rig.cameras, strict=True):
-        for what, found in (("image", image), ("mask", mask)):
-            if found is None and what == "mask":
-                continue
-            if np.shape(found) != (camera.height, camera.width) or found.dtype != np.uint8:
-                size = f"{camera.width}x{camera.height}"
-                raise DatasetError(
-                    f"frame {stamp}: the {name} {what} must be a grey one of {size} pixels, uint8"
-                )
+    cam0, cam1 = rig.cameras
+    for name, image, camera in (
+        ("left image", event.left, cam0), ("left mask", event.left_mask, cam0),
+        ("right image", event.right, cam1), ("right mask", event.right_mask, cam1),
+    ):  # fmt: skip
+        if image is None and name.endswith("mask"):
+            continue
+        if not _is_grey(image, (camera.height, camera.width)):
+            size = f"{camera.width}x{camera.height}"
+            raise DatasetError(
+                f"frame {stamp}: the {name} must be a grey one of {size} pixels, uint8"
+            )
+
+
+def _is_grey(image: Image | None, shape: tuple[int, int]) -> bool:
+    return isinstance(image, np.ndarray) and image.shape == shape and image.dtype == np.uint8

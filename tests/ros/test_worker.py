@@ -55,8 +55,8 @@ def feed(data: Path, intake: Intake) -> None:
         else:
             assert isinstance(event, StereoFrame)
             stamp = event.timestamp_ns
-            for side, picture in (("left", event.left), ("right", event.right)):
-                message = filled(typestore(2), image(stamp, "cam", picture))
+            for side, pixels in (("left", event.left), ("right", event.right)):
+                message = filled(typestore(2), image(stamp, "cam", pixels))
                 intake.put_image(side, stamp, message)  # type: ignore[arg-type]
 
 

@@ -5,37 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outline_checks import apart, corners
 
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.sim.render import camera_rays, render_picture
+from ovmot.sim.render import camera_rays, render_image
 from ovmot.sim.rides import CAMERA_HEIGHT_M
 from ovmot.sim.scene_file import SCENES, SceneFile, load_scene
 from ovmot.sim.scenes import ORIGIN_NS, make_simulation
 from ovmot.sim.simulation import Simulation
 
 SMALL = (160, 70)
-
-
-def corners(center: FloatArray, yaw: float, size: FloatArray) -> FloatArray:
-    """Four corners (4, 2) of a body's rectangle on the ground."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    half = 0.5 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size[:2]
-    return np.asarray(center[:2] + half @ np.array([[c, s], [-s, c]]))
-
-
-def apart(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two convex outlines (4, 2) have a line between them that is a side of one."""
-    if np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) > 10.0:  # no mover is longer than 8 m
-        return True
-    for p, q in ((a, b), (b, a)):
-        for i in range(4):
-            side = p[(i + 1) % 4] - p[i]
-            outward = np.array([-side[1], side[0]])
-            if ((q - p[i]) @ outward).min() > 0.0:
-                return True
-    return False
 
 
 def outlines(simulation: Simulation, time_ns: int) -> dict[str, FloatArray]:
@@ -46,15 +27,6 @@ def outlines(simulation: Simulation, time_ns: int) -> dict[str, FloatArray]:
         state = mover.state(time_ns)
         found[f"{mover.category} {mover.object_id}"] = corners(state.center, state.yaw, state.size)
     return found
-
-
-def test_outlines_are_told_apart() -> None:
-    square = corners(np.zeros(2), 0.0, np.array([2.0, 2.0]))
-    assert apart(square, square + np.array([2.1, 0.0]))
-    assert not apart(square, square + np.array([1.9, 1.9]))
-    turned = corners(np.array([2.3, 0.0]), 0.25 * np.pi, np.array([2.0, 2.0]))
-    assert not apart(square, turned)
-    assert apart(square, turned + np.array([0.2, 0.0]))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -75,8 +47,8 @@ def test_a_seed_repeats_and_two_differ(name: str) -> None:
         simulation = make_simulation(load_scene(name), seed=seed, size=size, duration_s=0.1)
         T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
         rays = camera_rays(simulation.rig.cam0)
-        picture = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS)
-        return np.concatenate([picture.grey.ravel(), simulation.imu.gyro_bias])
+        image = render_image(simulation.scene, rays, T_world_cam, ORIGIN_NS)
+        return np.concatenate([image.grey.ravel(), simulation.imu.gyro_bias])
 
     first = grey(0)
     np.testing.assert_array_equal(first, grey(0))
@@ -108,8 +80,8 @@ def test_a_jam_is_mostly_movers() -> None:
     shares = []
     for time_ns in simulation.camera_ns[::20]:
         T_world_cam = simulation.path.pose(int(time_ns)) @ simulation.rig.T_imu_cam0
-        picture = render_picture(simulation.scene, rays, T_world_cam, int(time_ns))
-        shares.append((picture.object_id > 0).mean())
+        image = render_image(simulation.scene, rays, T_world_cam, int(time_ns))
+        shares.append((image.object_id > 0).mean())
     assert np.mean(shares) > 0.5
     speed = np.linalg.norm(simulation.path.velocity(simulation.camera_ns), axis=-1)
     still = speed < 0.02
@@ -121,7 +93,7 @@ def test_the_night_is_dark() -> None:
     simulation = make_simulation(load_scene("night"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
-    grey = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
+    grey = render_image(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
     assert 28.0 < grey.mean() < 42.0
     assert simulation.optics.noise_grey >= 6.0
 

@@ -11,7 +11,7 @@ from ovmot.batch.summary import BatchSummary, consistency_of, spreads_of, write_
 from ovmot.errors import InputError
 
 Progress = Callable[[str, int, int], None]
-"""Told what is going on, how many of it are done, and of how many."""
+"""Called with what is going on, how many of it are done, and of how many."""
 
 
 def run_batch(

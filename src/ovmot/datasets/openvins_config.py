@@ -111,7 +111,7 @@ class RunConfig:
 
 
 def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunConfig:
-    """Settings of ours or of OpenVINS, told by the keys; `overrides` are `section.key=value`.
+    """Settings of ours or of OpenVINS, recognised by the keys; `overrides` are `section.key=value`.
 
     Raises `InputError` as `load_settings` does, and for chains that are missing or broken.
     """
@@ -224,7 +224,7 @@ def _grid(data: Mapping[str, Any], rig: StereoRig | None) -> _Mapped:
 
 
 def _mask_files(path: Path, data: Mapping[str, Any]) -> tuple[Path | None, Path | None]:
-    """The pictures beside the configuration that `mask0` and `mask1` name."""
+    """The images beside the configuration that `mask0` and `mask1` name."""
     if not data.get("use_mask"):
         return None, None
     files = [path.parent / str(data[key]) if key in data else None for key in ("mask0", "mask1")]

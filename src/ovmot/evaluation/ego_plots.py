@@ -1,4 +1,4 @@
-"""Pictures of the ego motion's errors, as figures of their own: no window and no global state."""
+"""Images of the ego motion's errors, as figures of their own: no window and no global state."""
 
 from pathlib import Path
 

@@ -16,7 +16,7 @@ from ovmot.types import FrameResult, ImuSample, StereoFrame
 
 
 class BagOutput:
-    """An output of a run (see `outputs.run_writer`); `overlay` adds the pictures of the video."""
+    """An output of a run (see `outputs.run_writer`); `overlay` adds the frames of the video."""
 
     def __init__(
         self, path: Path, rig: StereoRig, *, overlay: bool = False, replace: bool = False
@@ -33,8 +33,8 @@ class BagOutput:
         said = frame_messages(result, self._path)
         if self._overlay and isinstance(result.frame, StereoFrame):
             self._trails = self._trails.extended(result)
-            picture = compose(result, self._rig, self._trails)
-            said.append(overlay_message(result.timestamp_ns, picture))
+            overlay = compose(result, self._rig, self._trails)
+            said.append(overlay_message(result.timestamp_ns, overlay))
         for published in said:
             self._bag.write(published, result.timestamp_ns)
 

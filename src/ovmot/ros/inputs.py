@@ -1,4 +1,4 @@
-"""What a live node is told and listens to, whichever ROS it is: calibration and topics."""
+"""What a live node of either ROS is given and listens to: calibration and topics."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -110,11 +110,11 @@ def frame_messages(
 
 def overlay_message(
     timestamp_ns: int,
-    picture: Image,
+    overlay: Image,
     names: FrameNames = FrameNames(),
 ) -> Published:
     """The overlay (height, width, 3), blue-green-red."""
-    return Published(OVERLAY, image(timestamp_ns, names.cam0, picture))
+    return Published(OVERLAY, image(timestamp_ns, names.cam0, overlay))
 
 
 def odometry(ego: EgoEstimate, names: FrameNames) -> Message:

@@ -43,7 +43,7 @@ class StereoPairing:
         return ImagePair(found[0], found[1], message)
 
     def clear(self) -> None:
-        """Forget the images that wait."""
+        """Drop the images that wait."""
         for waiting in self._waiting.values():
             waiting.clear()
 

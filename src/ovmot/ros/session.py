@@ -166,8 +166,8 @@ class Session:
     def _publish_overlay(self, result: FrameResult) -> None:
         self._trails = self._trails.extended(result)
         if self._sink.wanted(OVERLAY):
-            picture = compose(result, self._rig, self._trails)
-            self._sink.send(overlay_message(result.timestamp_ns, picture, self._names))
+            overlay = compose(result, self._rig, self._trails)
+            self._sink.send(overlay_message(result.timestamp_ns, overlay, self._names))
 
     def _say_why_not_started(self) -> None:
         if not self._pipeline.started:

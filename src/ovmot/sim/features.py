@@ -272,7 +272,7 @@ class _World:
 def _seen(
     camera: Camera, T_world_cam: FloatArray, p_world: FloatArray, max_depth: float
 ) -> BoolArray:
-    """Which points (N, 3) lie before a camera, near enough and inside its picture."""
+    """Which points (N, 3) lie before a camera, near enough and inside its image."""
     uv, depth = _projected(camera, T_world_cam, p_world)
     return np.asarray(camera.inside(uv) & (depth <= max_depth))
 
@@ -282,7 +282,7 @@ def _projected(
 ) -> tuple[FloatArray, FloatArray]:
     """Pixels (N, 2) of points (N, 3), NaN for what the camera can not see, and depths (N,).
 
-    It can not see what is behind it, far outside its picture, or past the reach of its lens model,
+    It can not see what is behind it, far outside its image, or past the reach of its camera model,
     which folds over there.
     """
     p_cam = se3.apply(se3.inverse(T_world_cam), p_world)
@@ -290,8 +290,8 @@ def _projected(
     with np.errstate(all="ignore"):
         uv = camera.project(p_cam)
         off_center = np.abs(uv - 0.5 * np.array([camera.width, camera.height]))
-        near_picture = np.all(off_center < 0.6 * max(camera.width, camera.height), axis=1)
-        maybe = np.flatnonzero(near_picture & (depth > _NEAR_M))
+        near_image = np.all(off_center < 0.6 * max(camera.width, camera.height), axis=1)
+        maybe = np.flatnonzero(near_image & (depth > _NEAR_M))
         off = camera.normalize(uv[maybe]) - p_cam[maybe, :2] / depth[maybe, None]
     seen = maybe[np.abs(off).max(axis=1, initial=0.0) < 1e-6]
     out = np.full_like(uv, np.nan)

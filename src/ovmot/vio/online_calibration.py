@@ -187,8 +187,8 @@ def intrinsics_jacobian(camera: Camera, p_cam: FloatArray) -> FloatArray:
     """∂pixel/∂(fx, fy, cx, cy, distortion) (..., 2, 4 + k) at points p_cam (..., 3)."""
     z = np.where(p_cam[..., 2:] > 0.0, p_cam[..., 2:], np.nan)
     xy = p_cam[..., :2] / z
-    bent = camera.lens.distort(xy, camera.distortion)
-    _, by_distortion = camera.lens.distort_jacobian(xy, camera.distortion)
+    bent = camera.model.distort(xy, camera.distortion)
+    _, by_distortion = camera.model.distort_jacobian(xy, camera.distortion)
     J = np.zeros((*xy.shape, _FOCAL_AND_CENTER + len(camera.distortion)))
     J[..., 0, 0], J[..., 1, 1] = bent[..., 0], bent[..., 1]
     J[..., 0, 2] = J[..., 1, 3] = 1.0

@@ -1,7 +1,7 @@
 """Writes a simulation as a 4Seasons recording with its calibration in it, and its truth beside it.
 
 Layout: P. Wenzel et al., "4Seasons: A cross-season dataset for multi-weather SLAM in autonomous
-driving", GCPR 2020. Pictures are undistorted and rectified, whatever the rig's lenses are.
+driving", GCPR 2020. Images are undistorted and rectified, whatever the rig's lenses are.
 """
 
 from collections.abc import Iterator

@@ -50,8 +50,8 @@ def write_kaist(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     are not the radial-tangential ones that KAIST files hold.
     """
     for camera in sequence.rig.cameras:
-        if camera.lens.name != "radtan":
-            problem = f"KAIST calibration cannot hold a lens '{camera.lens.name}'"
+        if camera.model.name != "radtan":
+            problem = f"KAIST calibration cannot hold the camera model '{camera.model.name}'"
             raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
     with writable(folder):
         yield from _write_sequence(folder, sequence)
@@ -64,7 +64,7 @@ def _write_sequence(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     _write_poses(folder, sequence)
     stamps = "".join(f"{t}\n" for t in sequence.camera_ns)
     (folder / "sensor_data/stereo_stamp.csv").write_text(stamps)
-    # a grey scene: the raw Bayer mosaic of every colour pattern is the grey picture itself
+    # a grey scene: the raw Bayer mosaic of every colour pattern is the grey image itself
     save = by_stamp(folder / _LEFT, folder / _RIGHT)
     yield from write_frames(folder, sequence, sequence.rig, save)
 

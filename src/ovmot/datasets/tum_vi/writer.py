@@ -1,7 +1,7 @@
 """Writes a simulation as a TUM-VI folder (`mav0` and `dso`), with its truth beside it.
 
 Layout: D. Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS
-2018. Pictures are PNGs of 16 bits. Lenses are the rig's own; the data set's are equidistant.
+2018. Images are PNGs of 16 bits. Lenses are the rig's own; the data set's are equidistant.
 """
 
 from collections.abc import Iterator
@@ -57,8 +57,8 @@ def _write(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     write_true_poses(folder, sequence)
 
     def save(frame: FrameToWrite) -> None:
-        for camera, picture in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
+        for camera, image in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
             path = mav / camera / "data" / f"{frame.frame.timestamp_ns}.png"
-            write_png(path, picture.astype(np.uint16) * 257)  # the full range of 16 bits
+            write_png(path, image.astype(np.uint16) * 257)  # the full range of 16 bits
 
     yield from write_frames(folder, sequence, sequence.rig, save)

@@ -1,4 +1,4 @@
-"""Writes a simulation as a VIODE folder: ASL with segmentation pictures, its truth beside it.
+"""Writes a simulation as a VIODE folder: ASL with segmentation images, its truth beside it.
 
 Layout: `ovmot.datasets.viode.reader`. Lenses are perfect, as the data set's, whatever the rig's
 are. The segmentation shows 0 for the scene and each mover's id, in the colours of `rgb_ids.txt`.

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.doctor.observe import LEAST_POINTS, Seen, rotation_of_rays
+from ovmot.doctor.observe import LEAST_POINTS, FrameMatches, rotation_of_rays
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import StereoMotion, solve_stereo_motion
@@ -18,7 +18,7 @@ _ROTATION_SIGMAS = (0.004, 0.02)  # rad: how far the rays mislead, by and large 
 
 
 @dataclass(frozen=True, slots=True)
-class Turns:
+class CameraRotations:
     """Rotations of the left camera between N pairs of consecutive frames.
 
     `start_ns`, `end_ns` (N,): stamps of the two frames; `rotation` (N, 3): rotation vector in rad
@@ -30,18 +30,20 @@ class Turns:
     rotation: FloatArray
 
 
-def turns_of(stretches: Sequence[Sequence[Seen]], rig: StereoRig) -> Turns:
+def camera_rotations(
+    stretches: Sequence[Sequence[FrameMatches]], rig: StereoRig
+) -> CameraRotations:
     """The turns within each stretch, the matches taken by this rig."""
     pairs = [pair for stretch in stretches for pair in pairwise(stretch)]
-    return Turns(
+    return CameraRotations(
         np.array([before.timestamp_ns for before, _ in pairs], dtype=np.int64),
         np.array([now.timestamp_ns for _, now in pairs], dtype=np.int64),
-        np.array([camera_turn(*pair, rig) for pair in pairs]).reshape(-1, 3),
+        np.array([camera_rotation(*pair, rig) for pair in pairs]).reshape(-1, 3),
     )
 
 
-def camera_turn(before: Seen, now: Seen, rig: StereoRig) -> FloatArray:
-    """Rotation vector (3,), rad, of the left camera in its own axes; NaN if it is not told.
+def camera_rotation(before: FrameMatches, now: FrameMatches, rig: StereoRig) -> FloatArray:
+    """Rotation vector (3,), rad, of the left camera in its own axes; NaN where unknown.
 
     The far half of the points gives the rotation roughly, all of them together with the
     translation give it well.
