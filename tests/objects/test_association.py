@@ -15,7 +15,6 @@ from ovmot.objects.association import (
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.object_filter import Observation, distance
 from ovmot.objects.track import DRIVES_MPS, as_observation, predict_track, start_track
-from ovmot.settings import ObjectTrackSettings
 
 
 def random_measurement(seed: int, speed: float) -> ObjectMeasurement:
@@ -32,7 +31,7 @@ def random_measurement(seed: int, speed: float) -> ObjectMeasurement:
 def test_distances_are_those_of_single_filters() -> None:
     now_ns = 200_000_000
     tracks = [
-        predict_track(start_track(k, 0, random_measurement(k, v)), now_ns, ObjectTrackSettings())
+        predict_track(start_track(k, 0, random_measurement(k, v)), now_ns)
         for k, v in enumerate((1.0, 8.0, DRIVES_MPS + 0.5))
     ]
     seen = [random_measurement(10, 8.2), replace(random_measurement(11, 1.0), span_s=0.1)]

@@ -8,16 +8,13 @@ from object_fixtures import FRAME_NS, T_WORLD_CAM0, make_track, scene_points, sm
 
 from ovmot.objects.output import to_object_track
 from ovmot.objects.track import Track, TrackState
-from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack
-
-SETTINGS = ObjectTrackSettings(missed_s=0.15, place_sigma_m=0.5)
 
 
 def converted(track: Track, now_ns: int = FRAME_NS) -> ObjectTrack:
     points = scene_points([2, 2, 2], pixels=np.arange(12.0).reshape(3, 4))
     track_id = np.array([7, -1, 7])
-    return to_object_track(track, now_ns, points, track_id, T_WORLD_CAM0, small_rig(), SETTINGS)
+    return to_object_track(track, now_ns, points, track_id, T_WORLD_CAM0, small_rig())
 
 
 def test_fields_are_those_of_the_track() -> None:

@@ -89,12 +89,12 @@ def test_an_update_confirms_and_a_prediction_widens() -> None:
     m = replace(measurement(2, 3.0), feature_id=np.array([1, 2, 3]))
     track = start_track(4, 0, m)
     for k in range(1, 4):
-        track = predict_track(track, k * frame_ns, settings)
+        track = predict_track(track, k * frame_ns)
         moved = replace(m, position=m.position + 0.1 * k * m.velocity, feature_id=np.array([3, 9]))
-        track = update_track(track, moved, k * frame_ns, settings)
+        track = update_track(track, moved, k * frame_ns)
     assert (track.state, track.hits) == (TrackState.CONFIRMED, 4)
     assert track.feature_id.tolist() == [1, 2, 3, 9]
     np.testing.assert_allclose(track.position, moved.position)
-    later = predict_track(track, 10 * frame_ns, settings)
+    later = predict_track(track, 10 * frame_ns)
     assert horizontal_variance(later) > horizontal_variance(track)
     np.testing.assert_allclose(later.position - track.position, 0.7 * track.velocity, atol=1e-9)

@@ -10,6 +10,7 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects import output
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.settings import ObjectTrackSettings
@@ -174,7 +175,7 @@ def test_an_occluded_body_keeps_its_id() -> None:
     hidden = body(10.0, -8.0, 0.5, 6.0, hidden_s=(1.0, 2.5))
     after = replace(hidden, first_id=100)  # what comes back has new features
     rng = np.random.default_rng(3)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(place_sigma_m=0.5))
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     states = []
     for k in range(40):
         t = 0.1 * k
@@ -229,10 +230,14 @@ def test_a_body_that_has_left_is_not_found_again_by_a_few_features() -> None:
     ]
 
 
-def test_features_of_one_camera_go_on_with_a_body() -> None:
+def test_features_of_one_camera_go_on_with_a_body(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Without a measurement and without stereo: it goes behind what only the right camera sees."""
     rng = np.random.default_rng(5)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(missed_s=0.0, place_sigma_m=0.0))
+    monkeypatch.setattr(output, "_MISSED_S", -1.0)
+    monkeypatch.setattr(output, "_KNOWN_SIGMA_M", 0.0)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     walker = body(10.0, -2.0, 0.0, 1.5)
     for k in range(20):
         t = 0.1 * k
@@ -247,10 +252,14 @@ def test_features_of_one_camera_go_on_with_a_body() -> None:
     assert np.linalg.norm(track.position - walker.motion(1.9)[0]) < 0.5
 
 
-def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray() -> None:
+def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What stands there would look the same: only stereo tells."""
     rng = np.random.default_rng(5)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(missed_s=0.0, place_sigma_m=0.0))
+    monkeypatch.setattr(output, "_MISSED_S", -1.0)
+    monkeypatch.setattr(output, "_KNOWN_SIGMA_M", 0.0)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     ahead = body(15.0, 0.0, 5.0, 0.0, stops_at_s=0.9)
     for k in range(20):
         t = 0.1 * k

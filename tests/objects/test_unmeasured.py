@@ -7,7 +7,6 @@ from object_fixtures import FRAME_NS, feature_motions, make_track
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.track import Track, TrackState, predict_track
 from ovmot.objects.unmeasured import consistent_body, recovery_candidates, update_unmeasured
-from ovmot.settings import ObjectTrackSettings
 
 V = np.array([3.0, 0.0, 0.0])
 NOW_NS = 2 * FRAME_NS
@@ -18,7 +17,7 @@ def after_a_frame(
 ) -> Track:
     """A track at V after one frame with features at these velocities, all in its box."""
     track = make_track(velocity=(3.0, 0.0, 0.0), ids=ids, state=state)
-    track = predict_track(track, NOW_NS, ObjectTrackSettings())
+    track = predict_track(track, NOW_NS)
     n = len(velocity)
     p_world = track.position + np.random.default_rng(1).uniform(-0.5, 0.5, (n, 3))
     motions = feature_motions(velocity, p_world, sigma=0.1)

@@ -12,7 +12,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.clustering_kernel import components_compiled
-from ovmot.physics import ACCEL_SIGMA_MPS2, TURN_SPREAD_MPS, gate, gates
+from ovmot.physics import ACCEL_SIGMA_MPS2, MAX_VEHICLE_SIZE_M, TURN_SPREAD_MPS, gate, gates
 from ovmot.segmentation.history_kernel import (
     distance_from_static_compiled,
     fit_velocities_compiled,
@@ -32,6 +32,8 @@ _SPREAD_SHARE = 0.05  # of the speed, by which points of one body may differ
 _REACH_SIGMAS = 2.0  # of the position, on top of the radius and of a gap
 _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
+_MAX_POINTS = 240  # that are looked at in a frame; those tracked longest come first
+_POINTS_PER_TRACK = 40  # of these, points of one track
 _NEIGHBOURS = 5  # two linked points are among each other's so many nearest ones
 _KNOWN_REACH = 2.0  # of the radius, between parts of one track
 _WIDTH_SIGMAS = 4.0  # by which points of one body may scatter beyond it
@@ -90,7 +92,7 @@ def motion_history(
         return None
     known = np.isfinite(history.p_then[:, candidate, 2]).sum(0)
     u, owner = points.pixels[candidate, 0], points.track_id[candidate]
-    candidate = candidate[_chosen(known, u, owner, settings)]
+    candidate = candidate[_chosen(known, u, owner)]
     history = history.only(candidate)
     comparison = compare_with_static(history, window, rig)
     velocity, covariance, steady = _fit(comparison)
@@ -119,7 +121,7 @@ def motion_history(
     )
 
 
-def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSettings) -> IntArray:
+def _chosen(known: IntArray, u: FloatArray, owner: IntArray) -> IntArray:
     """Which of the points (N,) to look at, seen in `known` rows at image columns `u`.
 
     Of a track as many as tell enough, from all over it, or a large body would leave none for the
@@ -128,12 +130,12 @@ def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSet
     looked_at = np.ones(len(owner), dtype=np.bool_)
     for track_id in np.unique(owner[owner >= 0]):
         own = np.flatnonzero((owner == track_id) & (known > 1))
-        if len(own) > settings.points_per_track:
+        if len(own) > _POINTS_PER_TRACK:
             across = own[np.argsort(u[own], kind="stable")]
             looked_at[own] = False
-            looked_at[across[:: -(-len(own) // settings.points_per_track)]] = True
+            looked_at[across[:: -(-len(own) // _POINTS_PER_TRACK)]] = True
     some = np.flatnonzero(looked_at)
-    longest = np.argsort(-known[some], kind="stable")[: settings.max_points]
+    longest = np.argsort(-known[some], kind="stable")[:_MAX_POINTS]
     return np.sort(some[longest])
 
 
@@ -195,7 +197,7 @@ def _split_at_gap(
     lateral, sigma = _lateral_positions(points, index)
     order = np.argsort(lateral)
     gaps = np.diff(lateral[order])
-    wide = np.ptp(lateral) - _WIDTH_SIGMAS * sigma > settings.body_width_m
+    wide = np.ptp(lateral) - _WIDTH_SIGMAS * sigma > MAX_VEHICLE_SIZE_M[1]
     if not wide or gaps.max() < _LEAST_GAP_M + _REACH_SIGMAS * sigma:
         return [index]
     cut = int(np.argmax(gaps)) + 1
@@ -239,7 +241,7 @@ def _are_one_body(
     if not same_body_velocity(v_part, v_group, C, 0.99):
         return False
     lateral, sigma = _lateral_positions(points, np.concatenate([group, part]))
-    return bool(np.ptp(lateral) - 2.0 * sigma < settings.body_width_m)
+    return bool(np.ptp(lateral) - 2.0 * sigma < MAX_VEHICLE_SIZE_M[1])
 
 
 def same_body_velocity(

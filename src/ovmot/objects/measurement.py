@@ -18,10 +18,10 @@ from ovmot.objects.clustering import (
 )
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
-from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion, known_part
-from ovmot.physics import gates
+from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion, known_part
+from ovmot.physics import MAX_VEHICLE_SIZE_M, gates
 from ovmot.segmentation.stereo_history import StereoHistory
-from ovmot.settings import ObjectSettings
+from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PoseWindow, ScenePoints
 
 _LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
@@ -73,16 +73,16 @@ def measure_objects(
     window: PoseWindow,
     rig: StereoRig,
     settings: ObjectSettings,
-    max_range_m: float,
+    of_points: SegmentationSettings,
     rng: np.random.Generator,
 ) -> tuple[ObjectMeasurement, ...]:
     """The moving bodies of the newest frame, those with most points first.
 
     `history` is that of the frame's segmented `points`, `window` holds the updated poses. Points
-    beyond `max_range_m` belong to no body.
+    beyond the range of the segmentation, `of_points`, belong to no body.
     """
     # 1 the motion of each point over the last frames
-    moving = motion_history(history, points, window, rig, settings, max_range_m)
+    moving = motion_history(history, points, window, rig, settings, of_points.max_range_m)
     if moving is None:
         return ()
     # 2 clusters of neighbours with one velocity
@@ -113,19 +113,23 @@ def measure_objects(
     bodies = [
         _Body(int(group_of[k]), track_id, measurement)
         for k, track_id, measurement in zip(enough, track_of, measurements, strict=True)
-        if _moves(measurement, views.T_world_cam0[-1, 0], rig, settings)
+        if _moves(measurement, views.T_world_cam0[-1, 0], rig, settings, of_points)
     ]
     return _without_parts(bodies, settings)
 
 
 def _moves(
-    body: ObjectMeasurement, T_world_cam0: FloatArray, rig: StereoRig, settings: ObjectSettings
+    body: ObjectMeasurement,
+    T_world_cam0: FloatArray,
+    rig: StereoRig,
+    settings: ObjectSettings,
+    of_points: SegmentationSettings,
 ) -> bool:
     """Is a body a road user in motion: fast enough, not too high up, and not at rest?"""
-    if not _is_fast(body, settings) or _is_aloft(body, T_world_cam0, settings):
+    if not _is_fast(body, settings) or _is_aloft(body, T_world_cam0):
         return False
     motion = _found_motion(body, se3.inverse(T_world_cam0))
-    return not STATIC_TESTS[settings.static_test](motion, rig, settings)
+    return not STATIC_TESTS[settings.static_test](motion, rig, settings, of_points)
 
 
 def _is_fast(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
@@ -134,13 +138,13 @@ def _is_fast(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
     And greater than what a drift of its patches along their rays, the unknown part, leaves in it.
     """
     v = body.velocity
-    known, _ = known_part(v, body.covariance[3:, 3:], settings.max_speed_sigma_mps)
+    known, _ = known_part(v, body.covariance[3:, 3:], MAX_SIGMA_MPS)
     known_squared = float(known @ known)
     unknown_squared = max(float(v @ v) - known_squared, 0.0)
     return known_squared > max(settings.min_speed_mps**2, _LEAK**2 * unknown_squared)
 
 
-def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray, settings: ObjectSettings) -> bool:
+def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray) -> bool:
     """Is a body higher than road users are?
 
     Repeated windows that are all matched to their neighbours appear at ρ times their distance, and
@@ -148,7 +152,7 @@ def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray, settings: Objec
     """
     offset = np.median(body.p_world, axis=0) - T_world_cam0[:3, 3]
     slope_m = _STEEPEST * float(np.hypot(offset[0], offset[1]))
-    return bool(offset[2] > settings.max_height_m + slope_m)
+    return bool(offset[2] > MAX_VEHICLE_SIZE_M[2] + slope_m)
 
 
 def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:

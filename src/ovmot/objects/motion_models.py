@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray
+from ovmot.physics import ACCEL_SIGMA_MPS2
 
 POSITION, VELOCITY, YAW_RATE = slice(0, 3), slice(3, 6), 6
 N_STATE = 7
@@ -22,6 +23,10 @@ class Agility:
     accel: float
     lift: float
     yaw_accel: float
+
+
+ROAD_USER_AGILITY = Agility(accel=ACCEL_SIGMA_MPS2, lift=0.2, yaw_accel=0.3)
+"""White acceleration that gives a road user's standard deviation after one second."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ class MovingObjects:
 
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
-        self._max_range_m = settings.segmentation.max_range_m
+        self._of_points = settings.segmentation
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
@@ -71,7 +71,7 @@ class MovingObjects:
             window,
             rig,
             self._settings,
-            self._max_range_m,
+            self._of_points,
             self._rng,
         )
         tracks, points = tracker.step(

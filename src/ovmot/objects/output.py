@@ -7,8 +7,10 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.motion_models import YAW_RATE
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_box import image_box, is_in_view
-from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack, ScenePoints
+
+_MISSED_S = 0.15  # missed for no longer than this, a confirmed track is still called confirmed
+_KNOWN_SIGMA_M = 0.5  # and for longer while its place in view is known to this
 
 
 def to_object_track(
@@ -18,7 +20,6 @@ def to_object_track(
     track_id: IntArray,
     T_world_cam0: FloatArray,
     rig: StereoRig,
-    settings: ObjectTrackSettings,
 ) -> ObjectTrack:
     """A track's state, box and standard deviations; `track_id` (N,): of the `points`, -1 for none.
 
@@ -29,7 +30,7 @@ def to_object_track(
     own = track_id == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
-        state=_output_state(track, now_ns, T_world_cam0, rig, settings).value,
+        state=_output_state(track, now_ns, T_world_cam0, rig).value,
         position=track.position,
         velocity=track.velocity,
         yaw=track.yaw,
@@ -47,13 +48,12 @@ def _output_state(
     now_ns: int,
     T_world_cam0: FloatArray,
     rig: StereoRig,
-    settings: ObjectTrackSettings,
 ) -> TrackState:
     """The state to report: a missed track stays confirmed for a short time, and longer while its
     position in view is well known, as behind something."""
     if track.state != TrackState.COASTING:
         return track.state
     missed_s = 1e-9 * (now_ns - track.updated_ns)
-    known = horizontal_variance(track) < settings.place_sigma_m**2
+    known = horizontal_variance(track) < _KNOWN_SIGMA_M**2
     occluded = known and is_in_view(track, T_world_cam0, rig)
-    return TrackState.CONFIRMED if missed_s <= settings.missed_s or occluded else track.state
+    return TrackState.CONFIRMED if missed_s <= _MISSED_S or occluded else track.state

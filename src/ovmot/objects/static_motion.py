@@ -9,7 +9,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.physics import gate
-from ovmot.settings import ObjectSettings
+from ovmot.settings import ObjectSettings, SegmentationSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,18 +24,26 @@ class FoundMotion:
     at_rest: FloatArray
 
 
-StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings], bool]
+StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings, SegmentationSettings], bool]
+
+MAX_SIGMA_MPS = 1.5
+"""A direction in which a velocity is known no better than this, about a walker's, does not count."""
 
 
-def is_static_by_covariance(motion: FoundMotion, rig: StereoRig, settings: ObjectSettings) -> bool:
+def is_static_by_covariance(
+    motion: FoundMotion,
+    rig: StereoRig,
+    settings: ObjectSettings,
+    of_points: SegmentationSettings,
+) -> bool:
     """Chi-squared test of no velocity, in the directions in which it is known.
 
     The covariance holds the points' and the poses' part.
     """
-    v, variance = known_part(motion.velocity, motion.covariance, settings.max_speed_sigma_mps)
+    v, variance = known_part(motion.velocity, motion.covariance, MAX_SIGMA_MPS)
     if len(v) == 0:
         return True
-    return float((v**2 / variance).sum()) < gate(len(v), 1.0 - settings.static_false_alarm)
+    return float((v**2 / variance).sum()) < gate(len(v), 1.0 - of_points.false_alarm)
 
 
 def known_part(
@@ -52,13 +60,18 @@ def known_part(
     return axes.T[known] @ velocity, variance[known]
 
 
-def is_static_by_thresholds(motion: FoundMotion, rig: StereoRig, settings: ObjectSettings) -> bool:
+def is_static_by_thresholds(
+    motion: FoundMotion,
+    rig: StereoRig,
+    settings: ObjectSettings,
+    of_points: SegmentationSettings,
+) -> bool:
     """Mean displacement below α + β/N metres, or below γ/mean depth + δ/N pixels in the image.
 
     The depth component is weighted down; of both cameras the worse one counts.
     """
     n = len(motion.moved)
-    weights = np.array([1.0, 1.0, settings.depth_weight])
+    weights = np.array([1.0, 1.0, of_points.depth_weight])
     distance = np.linalg.norm((motion.moved - motion.at_rest) * weights, axis=1).mean()
     focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
     h_moved, _ = project_stereo(motion.moved, rig.T_cam1_cam0)

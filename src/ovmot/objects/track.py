@@ -8,7 +8,7 @@ import numpy as np
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import union
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import N_STATE, VELOCITY, Agility
+from ovmot.objects.motion_models import N_STATE, ROAD_USER_AGILITY, VELOCITY
 from ovmot.objects.object_filter import (
     BodyFilter,
     Observation,
@@ -78,11 +78,6 @@ class Track:
         return velocity
 
 
-def agility(settings: ObjectTrackSettings) -> Agility:
-    """The process noise of the settings."""
-    return Agility(settings.accel, settings.lift, settings.yaw_accel)
-
-
 def as_observation(
     measurement: ObjectMeasurement, size: FloatArray, dt_s: float | None
 ) -> Observation:
@@ -148,9 +143,9 @@ def is_conclusive(measurement: ObjectMeasurement) -> bool:
     return len(measurement.feature_id) >= _MANY_FEATURES and moves and across
 
 
-def predict_track(track: Track, now_ns: int, settings: ObjectTrackSettings) -> Track:
+def predict_track(track: Track, now_ns: int) -> Track:
     """The track predicted to a time."""
-    return replace(track, filter=predict(track.filter, now_ns, agility(settings)))
+    return replace(track, filter=predict(track.filter, now_ns, ROAD_USER_AGILITY))
 
 
 def centre_sigma(size: FloatArray) -> FloatArray:

@@ -59,7 +59,7 @@ class ObjectTracker:
         """
         settings, rig = self._settings, self._rig
         # 1 predict the tracks, and measure each feature's motion
-        tracks = [predict_track(track, timestamp_ns, settings) for track in self._tracks]
+        tracks = [predict_track(track, timestamp_ns) for track in self._tracks]
         motions = self._feature_motions(timestamp_ns, points, tracks, T_world_cam0, pixel_sigma)
         # 2 associate measurements with tracks
         out_of_view = np.array([_has_left(t, T_world_cam0, rig) for t in tracks], dtype=np.bool_)
@@ -76,7 +76,7 @@ class ObjectTracker:
         # 6 convert for the output, label the points
         track_id = _track_ids(self._tracks, points.feature_id)
         output = tuple(
-            to_object_track(t, timestamp_ns, points, track_id, T_world_cam0, rig, settings)
+            to_object_track(t, timestamp_ns, points, track_id, T_world_cam0, rig)
             for t in self._tracks
         )
         before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)

@@ -18,6 +18,8 @@ from ovmot.settings import LiveSettings
 from ovmot.types import ImuSample
 
 _MOST_IMU_SAMPLES = 50_000  # a minute and more, while the first frames compile
+JUMP_S = 0.5
+"""Stamps that go back by more than this are a restart of the source, by less are late."""
 _CATCH_UP = 0.2
 """Of the frames held for the IMU, how many must be worked off with each new one: a worker a fifth
 quicker than the camera loses none; a slower one loses single frames, never many in a row."""
@@ -153,7 +155,7 @@ class Intake:
 
     def _is_in_order(self, name: str, stamp_ns: int) -> bool:
         """Note a stamp. False for a late message or a stray one; a jump begins everything again."""
-        stream, jump_ns = self._streams[name], 1e9 * self._settings.jump_s
+        stream, jump_ns = self._streams[name], 1e9 * JUMP_S
         if stream.before_ns is not None and abs(stamp_ns - stream.before_ns) < jump_ns:
             self._counts["late"] += 1  # sent before the restart, and still on its way
             return False

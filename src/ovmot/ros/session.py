@@ -188,9 +188,7 @@ class Session:
 
 def frame_names(settings: LiveSettings) -> FrameNames:
     """What the settings call the frames."""
-    return FrameNames(
-        settings.world_frame, settings.imu_frame, settings.left_frame, settings.right_frame
-    )
+    return FrameNames(*settings.frames)
 
 
 def decoded(waiting: WaitingPair, settings: LiveSettings, rig: StereoRig) -> StereoFrame:
