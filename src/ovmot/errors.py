@@ -25,3 +25,7 @@ class CalibrationError(InputError):
 
 class DatasetError(InputError):
     """A recorded sequence that cannot be read, or not any further."""
+
+
+class InitializationError(OvmotError):
+    """No initial state by these frames, and why; more frames may give one."""

@@ -350,7 +350,7 @@ def _with_pose(
         yield from stream
         return
     counts["frames_without_pose"] = 0
-    posed = set(start.ego.pose_ns.tolist())
+    posed = set(start.source.pose_ns.tolist())
     for event in stream:
         if isinstance(event, ImuSample) or event.timestamp_ns in posed:
             yield event

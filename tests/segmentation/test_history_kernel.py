@@ -22,7 +22,6 @@ from ovmot.segmentation.stereo_history import (
     PatchDrift,
     StereoHistory,
     compare,
-    normalized_sigma,
 )
 from ovmot.types import PoseWindow
 
@@ -69,7 +68,7 @@ def ego_covariance(history: StereoHistory, window: PoseWindow, rig: StereoRig) -
 
 def test_the_comparison_equals_its_twin(rig: StereoRig, case: Case) -> None:
     history, window, found = case
-    sigma, T10 = normalized_sigma(rig, SIGMA_PX), rig.T_cam1_cam0
+    sigma, T10 = rig.normalized_sigma(SIGMA_PX), rig.T_cam1_cam0
     p_then = triangulate_stereo(history.then, T10)
     T = window.T_world_imu @ rig.T_imu_cam0
     T_now_then = (se3.inverse(T[-1]) @ T[history.clone_index])[:, None]
@@ -141,7 +140,7 @@ def test_displacements_are_of_the_oldest_row(
     rig: StereoRig, case: Case, displaced: Callable[..., FloatArray]
 ) -> None:
     history, window, _ = case
-    sigma, T10 = normalized_sigma(rig, SIGMA_PX), np.ascontiguousarray(rig.T_cam1_cam0)
+    sigma, T10 = rig.normalized_sigma(SIGMA_PX), np.ascontiguousarray(rig.T_cam1_cam0)
     T = window.T_world_imu @ rig.T_imu_cam0
     T_now_then = se3.inverse(T[-1]) @ T[history.clone_index]
     p_now = triangulate_stereo(history.now, T10)

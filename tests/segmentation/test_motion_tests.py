@@ -17,7 +17,7 @@ from ovmot.segmentation.motion_tests import (
     examine_rest,
     fixed_test,
 )
-from ovmot.segmentation.stereo_history import PatchDrift, StereoHistory, compare, normalized_sigma
+from ovmot.segmentation.stereo_history import PatchDrift, StereoHistory, compare
 from ovmot.settings import SegmentationSettings
 from ovmot.types import PoseWindow
 
@@ -61,7 +61,7 @@ def evidence_of(
             window_of(told), rig, SETTINGS.pixel_sigma, PatchDrift(0.0, 0.0),
         )  # fmt: skip
         p_now = triangulate_stereo(m[-1], rig.T_cam1_cam0)
-        sigma = normalized_sigma(rig, SETTINGS.pixel_sigma)
+        sigma = rig.normalized_sigma(SETTINGS.pixel_sigma)
         zero = np.zeros(len(p_cam))
         return Evidence(
             comparison, p_now, stereo_covariance(p_now, rig.T_cam1_cam0, sigma), zero, zero

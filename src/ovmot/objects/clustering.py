@@ -25,7 +25,6 @@ from ovmot.segmentation.stereo_history import (
     StereoHistory,
     carrying,
     compare,
-    normalized_sigma,
 )
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
@@ -86,7 +85,7 @@ def motion_history(
     """
     rows = _rows(table, window, settings.look_back_s)
     history = _history(table, points, window, rows)
-    sigma = normalized_sigma(rig, pixel_sigma)
+    sigma = rig.normalized_sigma(pixel_sigma)
     T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
     T_now_then = carrying(history, window, rig)
     off_rest = displace_compiled(history.then, points.p_cam0, T_now_then, T_cam1_cam0, sigma)

@@ -18,7 +18,6 @@ from ovmot.segmentation.stereo_history import (
     PatchDrift,
     StereoHistory,
     compare,
-    normalized_sigma,
 )
 from ovmot.settings import SegmentationSettings
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
@@ -168,7 +167,7 @@ def _unjudged(seen: FrontendFrame, rig: StereoRig, settings: SegmentationSetting
     n = len(seen)
     nothing = np.full((n, 2), np.nan)
     p_cam0 = triangulate_stereo(seen.normalized, rig.T_cam1_cam0)
-    sigma = normalized_sigma(rig, settings.pixel_sigma)
+    sigma = rig.normalized_sigma(settings.pixel_sigma)
     return ScenePoints(
         feature_id=seen.feature_id,
         pixels=seen.pixels,

@@ -66,12 +66,6 @@ class PatchDrift:
     per_flow: float
 
 
-def normalized_sigma(rig: StereoRig, sigma_px: float) -> FloatArray:
-    """Standard deviations (4,) of a stereo pair's plane coordinates."""
-    f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
-    return sigma_px / np.array([f0[0], f0[1], f1[0], f1[1]])
-
-
 def compare(
     history: StereoHistory,
     window: PoseWindow,
@@ -92,7 +86,7 @@ def compare(
             carrying(history, window, rig),
             _ego_covariance(history.clone_index, window, rig),
             np.ascontiguousarray(rig.T_cam1_cam0),
-            normalized_sigma(rig, sigma_px),
+            rig.normalized_sigma(sigma_px),
             drift.px / rig.cam0.fx,
             drift.per_flow,
         ),
