@@ -51,7 +51,7 @@ def test_weights_are_huber_s_by_the_true_degrees_of_freedom(state: State) -> Non
     passed = np.array([True, True, True, False])
     update = innovation_consistency(state, H, residual, COLUMNS, distance, dof, passed)
     assert update is not None
-    # the square of the weight, on rows and residuals, is 1 / (distance in sigmas)
+    # squared, the weight of a residual is 1 over its size in standard deviations
     np.testing.assert_allclose(update.weight, [2.0**-0.5, 2.0**-0.5, 1.0, 0.0])
 
 
@@ -73,10 +73,10 @@ def test_the_update_is_the_compressed_one_of_all_weighted_rows(state: State) -> 
 
 
 def test_a_majority_that_asks_for_another_velocity_is_left_out(state: State) -> None:
-    """Ten of sixteen features are on a lorry that drives off at 2 m/s; the IMU knows better."""
+    """Ten of sixteen features are on a lorry that drives off at 10 m/s; the IMU knows better."""
     H = measurements(16)
     lorry = np.arange(16) >= 6
-    residual = np.where(lorry[:, None], H @ np.array([2.0, 0.0, 0.0]), 0.0)
+    residual = np.where(lorry[:, None], H @ np.array([10.0, 0.0, 0.0]), 0.0)
     distance = np.where(lorry, 8.0, 1.0)
     passed = np.ones(16, dtype=np.bool_)
     update = innovation_consistency(state, H, residual, COLUMNS, distance, full_dof(16), passed)

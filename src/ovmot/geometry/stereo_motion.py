@@ -13,14 +13,12 @@ from ovmot.geometry.triangulation import (
     stereo_covariance,
     triangulate_stereo,
 )
+from ovmot.physics import gate
 
 MIN_POINTS = 8
 """Points that must agree on a motion."""
-_MAX_HYPOTHESES = 80
-_GATE = 13.3  # 99 % of chi-squared with 4 degrees of freedom
-_JOINT_GATE = 15.1  # 5 degrees: two stereo views of a point
-_MOTION_GATE = 16.3  # 99.9 % of chi-squared with 3 degrees of freedom
-_HUBER = 2.0
+_INLIER_PROBABILITY = 0.99
+_HUBER = 2.0  # standard deviations, from which on residuals count linearly
 _ITERATIONS = 8
 
 
@@ -84,7 +82,7 @@ def motion_is_significant(motion: StereoMotion, min_motion_m: float) -> bool:
     """Is the translation longer than `min_motion_m`, and significant at 99.9 %?"""
     t = motion.T_now_before[:3, 3]
     distance = float(t @ np.linalg.solve(motion.covariance[3:, 3:], t))
-    return float(np.linalg.norm(t)) > min_motion_m and distance > _MOTION_GATE
+    return float(np.linalg.norm(t)) > min_motion_m and distance > gate(3, 0.999)
 
 
 def _inverse_covariances(
@@ -100,16 +98,17 @@ def _inverse_covariances(
 
 
 def _best_translation(
-    p: FloatArray, q: FloatArray, z: FloatArray, W: FloatArray, R: FloatArray, T_c1_c0: FloatArray
-) -> tuple[FloatArray, BoolArray]:
+    p: FloatArray, q: FloatArray, z: FloatArray, W: FloatArray, R: FloatArray, T_c1_c0: FloatArray,
+    *, max_proposals: int = 80,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """The proposal with most inliers; near points propose, since their depth is known best."""
     rotated = p @ R.T
-    nearest = np.argsort(q[:, 2], kind="stable")[:_MAX_HYPOTHESES]
+    nearest = np.argsort(q[:, 2], kind="stable")[:max_proposals]
     proposals = q[nearest] - rotated[nearest]
     h, _ = project_stereo(rotated[None] + proposals[:, None], T_c1_c0)
     r = z[None] - h
     distance = np.einsum("hni,nij,hnj->hn", r, W, r)
-    inlier = distance < _GATE
+    inlier = distance < gate(4, _INLIER_PROBABILITY)
     best = int(np.argmax(inlier.sum(1)))
     return proposals[best], inlier[best]
 
@@ -124,12 +123,13 @@ def _refine(
     T_c1_c0: FloatArray,
 ) -> FloatArray:
     """Gauss-Newton on the motion with Huber weights; points beyond twice the gate are left out."""
+    bound = 2.0 * gate(4, _INLIER_PROBABILITY)
     for _ in range(_ITERATIONS):
         rotated = p @ T[:3, :3].T
         h, J_point = project_stereo(rotated + T[:3, 3], T_c1_c0)
         r = z - h
         distance = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", r, W, r), 1e-12))
-        inlier = distance**2 < 2.0 * _GATE
+        inlier = distance**2 < bound
         weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)
         J = np.concatenate([J_point @ -so3.hat(rotated), J_point], axis=2)
         JtW = np.swapaxes(J, -1, -2) @ (W * weight[:, None, None])
@@ -160,6 +160,7 @@ def _refine_with_points(
     depth are not symmetric. A point is (x, y, 1/z) in the earlier left view, and is eliminated from
     the normal equations (Schur complement; B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1).
     """
+    bound = 2.0 * gate(5, _INLIER_PROBABILITY)  # two stereo views without the point's coordinates
     information, inlier = np.eye(6), np.zeros(len(p), dtype=np.bool_)
     point = np.concatenate([before[:, :2], 1.0 / p[:, 2:]], axis=1)
     for _ in range(_ITERATIONS):
@@ -170,7 +171,7 @@ def _refine_with_points(
         N_inverse, g = inverse_3x3(At @ A), At @ r
         squared = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
         distance = np.sqrt(np.maximum(squared, 1e-12))
-        inlier = distance**2 < 2.0 * _JOINT_GATE
+        inlier = distance**2 < bound
         if not inlier.any():  # the wide gate has mixed two motions into one of neither
             break
         weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)[:, None, None]

@@ -11,8 +11,8 @@ import numpy as np
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
-_MIN_INVERSE_DEPTH = 1e-4
-_CONVERGED = 1e-7  # normalized coordinates: far below a pixel
+MAX_DEPTH_M = 1e4
+"""Stereo and views say nothing of what is farther: it is at infinity."""
 
 
 def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
@@ -30,7 +30,7 @@ def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> Float
     b = x1 * t[2] - t[:2]
     with np.errstate(invalid="ignore", divide="ignore"):
         depth = (a * b).sum(-1) / (a * a).sum(-1)
-        behind = ~((depth > 0.0) & (depth * ray1[..., 2] + t[2] > 0.0) & (depth < 1e4))
+        behind = ~((depth > 0.0) & (depth * ray1[..., 2] + t[2] > 0.0) & (depth < MAX_DEPTH_M))
     return np.where(behind[..., None], np.nan, ray0 * depth[..., None])
 
 
@@ -135,7 +135,7 @@ def triangulate_many_views(
     state = np.concatenate([np.nan_to_num(start), 1.0 / z[:, None]], axis=1)
     state, mean_square = _refine_inverse_depth(state, xy, T_view_anchor, weight, iterations)
 
-    depth = 1.0 / np.maximum(state[:, 2], _MIN_INVERSE_DEPTH)
+    depth = 1.0 / np.maximum(state[:, 2], 1.0 / MAX_DEPTH_M)
     p_anchor = np.concatenate([state[:, :2], np.ones((n_features, 1))], axis=1) * depth[:, None]
     p_world = se3.apply(se3.inverse(T_anchor_world), p_anchor)
     with np.errstate(invalid="ignore"):
@@ -162,9 +162,18 @@ def _linear_point(xy: FloatArray, T: FloatArray, weight: FloatArray) -> FloatArr
 
 
 def _refine_inverse_depth(
-    state: FloatArray, xy: FloatArray, T: FloatArray, weight: FloatArray, iterations: int
+    state: FloatArray,
+    xy: FloatArray,
+    T: FloatArray,
+    weight: FloatArray,
+    iterations: int,
+    *,
+    tolerance: float = 1e-7,
 ) -> tuple[FloatArray, FloatArray]:
-    """Levenberg-Marquardt on (alpha, beta, rho) (F, 3), each feature with its own damping."""
+    """Levenberg-Marquardt on (alpha, beta, rho) (F, 3), each feature with its own damping.
+
+    Until no step is larger than the `tolerance`, in normalized coordinates and 1/m.
+    """
     count = np.maximum(weight.sum(1), 1.0)
     damping = np.full(len(state), 1e-4)
     cost, N, g = _inverse_depth_system(state, xy, T, weight)
@@ -173,7 +182,7 @@ def _refine_inverse_depth(
         step = (inverse_3x3(N + damping[:, None, None] * diagonal) @ g[..., None])[..., 0]
         step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
         trial = state + step
-        trial[:, 2] = np.maximum(trial[:, 2], _MIN_INVERSE_DEPTH)
+        trial[:, 2] = np.maximum(trial[:, 2], 1.0 / MAX_DEPTH_M)
         trial_cost, trial_N, trial_g = _inverse_depth_system(trial, xy, T, weight)
         better = trial_cost <= cost
         state = np.where(better[:, None], trial, state)
@@ -181,7 +190,7 @@ def _refine_inverse_depth(
         g = np.where(better[:, None], trial_g, g)
         cost = np.where(better, trial_cost, cost)
         damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), 1e-9, 1e3)
-        if np.abs(step).max(initial=0.0) < _CONVERGED:
+        if np.abs(step).max(initial=0.0) < tolerance:
             break
     return state, cost / (2.0 * count)
 

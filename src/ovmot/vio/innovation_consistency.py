@@ -58,21 +58,21 @@ def innovation_consistency(
     residual: FloatArray,
     columns: IntArray,
     distance: FloatArray,
+    dof: IntArray,
     passed: BoolArray,
 ) -> ConsistentUpdate | None:
     """The update by all features that are consistent with each other and with the prediction.
 
     `H` (F, M, k) and `residual` (F, M): whitened, rows of zeros where nothing was seen; `distance`
-    (F,): squared Mahalanobis distance of each feature's innovation; `passed` (F,): features that
-    passed their own gate. None where too few are consistent.
+    (F,): squared Mahalanobis distance of each feature's innovation, and `dof` (F,) its degrees of
+    freedom; `passed` (F,): features that passed their own gate. None where too few are consistent.
 
     A feature whose innovation is larger than expected gets Huber's weight (P. Huber, 1964). Where
     the velocity that all ask for is beyond the gate, the half of them that is nearest to the
     prediction is tried, and so on; the others get weight 0.
     """
     candidates = np.flatnonzero(passed)
-    n_rows = (np.abs(H[candidates]).max(axis=2, initial=0.0) > 0.0).sum(1)
-    normalized = np.sqrt(distance[candidates] / n_rows)  # 1 where it is as expected
+    normalized = np.sqrt(distance[candidates] / dof[candidates])  # 1 where it is as expected
     weights = 1.0 / np.sqrt(np.maximum(normalized, 1.0))
     nearest = np.argsort(normalized, kind="stable")
     candidates, weights = candidates[nearest], weights[nearest]

@@ -121,7 +121,7 @@ def update_slam_features(
     rejections = state.landmarks.rejections + ((dof > 0) & ~passed)
     rejections[passed] = 0
     state = replace(state, landmarks=replace(state.landmarks, rejections=rejections))
-    consistent = innovation_consistency(state, H, residual, columns, distance, passed)
+    consistent = innovation_consistency(state, H, residual, columns, distance, dof, passed)
     if consistent is None:
         return state
     variance = np.ones(len(consistent.residual))

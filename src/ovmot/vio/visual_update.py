@@ -109,7 +109,7 @@ def msckf_update(
     distance = innovation_distances(P, projected.H, projected.residual)
     passed = chi2_gate(distance, projected.dof, settings.chi2_multiplier)
     consistent = innovation_consistency(
-        state, projected.H, projected.residual, columns, distance, passed
+        state, projected.H, projected.residual, columns, distance, projected.dof, passed
     )
     if consistent is None:
         return state
