@@ -5,7 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 REFERENCE_STAMP := $(VENV)/.installed-reference
-PYTEST_FLAGS ?= -n auto
+PYTEST_FLAGS ?= -n auto --dist loadgroup
+# processors that `make test-portable` computes as; all, if none is named
+PROCESSORS ?=
 
 # Debian's ROS 1, which is for Debian's own Python
 DEBIAN_PYTHON ?= /usr/bin/python3
@@ -24,7 +26,7 @@ COMPILE := --quiet --generate-hashes --strip-extras --allow-unsafe --no-emit-opt
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-reference install-ros demo test test-ros check bench lock clean
+.PHONY: help install install-reference install-ros demo test test-portable test-ros check bench lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -61,6 +63,9 @@ demo: install ## simulate a small street, run ovmot on it, say where the results
 
 test: install ## run the tests
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+test-portable: install ## run the numerical tests as other processors compute (PROCESSORS=Haswell: one)
+	$(BIN)/python tests/other_processors.py --processors "$(PROCESSORS)" $(PYTEST_FLAGS)
 
 test-ros: install-ros ## test the live node with a real ROS 1 master (docs/ros.md)
 	OVMOT_TEST_ROS=1 $(BIN)/python -m pytest -n 0 -s tests/ros/test_live_ros1.py

@@ -17,9 +17,25 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.cli import app as cli
+from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.sim.recording import record
+from ovmot.sim.scene_file import load_scene
+from ovmot.sim.scenes import make_simulation
 from ovmot.types import StereoFrame
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes longest begins first, and one worker has all tests of a compiled kernel.
+
+    So each kernel is compiled once and not by every worker (`--dist loadgroup`).
+    """
+    for item in items:
+        if item.path.stem.endswith("_kernel"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @dataclass(frozen=True)
@@ -57,12 +73,31 @@ def ovmot_command(
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
-    """The folder with real and rendered sequences; the test skips where it is missing."""
+    """The folder with real sequences; the test skips where it is missing."""
     repository = Path(__file__).resolve().parents[1]
     root = Path(os.environ.get("OVMOT_DATA", repository.parent / "shared" / "data"))
     if not root.is_dir():
         pytest.skip(f"no data in {root}; set OVMOT_DATA to run this test")
     return root
+
+
+@pytest.fixture(scope="session")
+def simulated_street(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A function (scene of the catalog) to its folder in KAIST's layout, with truth.
+
+    7 s at 10 Hz, pictures of 320x140; each is rendered once.
+    """
+    root = tmp_path_factory.mktemp("streets")
+
+    def street(scene: str) -> Path:
+        folder = root / scene
+        if not folder.exists():
+            simulation = make_simulation(load_scene(scene), seed=1, size=(320, 140), duration_s=7.0)
+            for _ in write_kaist(folder, record(simulation, 1)):
+                pass
+        return folder
+
+    return street
 
 
 @pytest.fixture(scope="session")

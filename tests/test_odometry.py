@@ -18,7 +18,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.interfaces import Feedback
 from ovmot.objects import moving_objects
 from ovmot.objects.tracker import ObjectTracker
-from ovmot.odometry import STAGES, Odometry, camera_motion
+from ovmot.odometry import STAGES, Odometry, camera_motion, noise_in_use
 from ovmot.segmentation.segmentation import Segmentation, segment_points
 from ovmot.settings import ObjectSettings, Settings
 from ovmot.types import (
@@ -53,7 +53,8 @@ SETTINGS = Settings.model_validate(
             "gravity_mps2": 9.81,
         },
         "initialization": {"window_s": 0.5},
-        "split": {"test": "covariance", "candidates": "tracked", "pixel_sigma": 0.3},
+        "segmentation": {"test": "covariance", "candidates": "tracked"},
+        "noise": {"pixel_sigma": 0.3},
     }
 )  # fmt: skip
 
@@ -529,3 +530,12 @@ def test_a_lost_filter_starts_again_where_it_was(
     assert odometry.counts["resets"] == odometry.counts["frames_lost"] == 1
     assert odometry.latest() is not None
     assert len({r.timestamp_ns for r in results}) == len(results)
+
+
+def test_noise_of_the_imu_settings_before_data_before_fallback() -> None:
+    data = ImuNoise(1.0, 2.0, 3.0, 4.0)
+    given = Settings.model_validate({"imu": {"gyro_walk": 0.5}}).imu
+    assert noise_in_use(data, given) == ImuNoise(1.0, 0.5, 3.0, 4.0)
+    unknown = noise_in_use(None, Settings().imu)
+    assert unknown == ImuNoise(*Settings().imu.fallback)
+    assert noise_in_use(None, given).gyro_walk == 0.5

@@ -15,16 +15,15 @@ import numpy as np
 import pytest
 
 from ovmot import run as run_module
-from ovmot.datasets.pose_files import ns_to_seconds
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError, InputError, OvmotError
 from ovmot.geometry import se3
 from ovmot.odometry import Odometry
 from ovmot.outputs.run_writer import RunWriter, open_outputs
-from ovmot.run import RunOptions, imu_noise, run_sequence
+from ovmot.run import RunOptions, poses_from_file, run_sequence
 from ovmot.settings import MaskSettings, ObjectSettings, Settings
-from ovmot.types import Event, FrameResult, ImuNoise
-from ovmot.vio.given_poses import GivenPosesInitializer
+from ovmot.types import Event, FrameResult
 
 SETTINGS = Settings.model_validate(
     {
@@ -33,7 +32,7 @@ SETTINGS = Settings.model_validate(
             "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
         },
         "initialization": {"window_s": 0.5},
-        "split": {"pixel_sigma": 0.3},
+        "noise": {"pixel_sigma": 0.3},
     }
 )  # fmt: skip
 START_NS = 1_403_636_580_000_000_000
@@ -389,21 +388,11 @@ def test_a_pose_that_is_not_finite_ends_the_run(
     assert stamps_in(tmp_path / "out" / "state.csv")[-1] == STAMPS[8]
 
 
-def test_noise_of_the_imu_settings_before_data_before_defaults(painted_euroc: Path) -> None:
-    sequence = replace(open_sequence(painted_euroc), imu_noise=ImuNoise(1.0, 2.0, 3.0, 4.0))
-    told = Settings.model_validate({"imu": {"gyro_walk": 0.5}})
-    assert imu_noise(sequence, told) == ImuNoise(1.0, 0.5, 3.0, 4.0)
-    unknown = replace(sequence, imu_noise=None)
-    assert imu_noise(unknown, Settings()) == ImuNoise(*Settings().imu.fallback)
-    assert imu_noise(unknown, told).gyro_walk == 0.5
-
-
 def test_camera_poses_are_carried_to_the_imu(painted_euroc: Path, tmp_path: Path) -> None:
     """A pose file of the camera: the camera of the run stands where the file says."""
     poses = tmp_path / "0000.txt"
     poses.write_text("1 0 0 0.5 0 1 0 0 0 0 1 2\n" * 12)
     sequence = open_sequence(painted_euroc)
-    start = run_module.make_initializer(sequence, SETTINGS, poses)
-    assert isinstance(start, GivenPosesInitializer)
+    start = poses_from_file(str(poses), sequence, SETTINGS)
     T_world_cam0 = start.source.T_world_imu[0] @ sequence.rig.T_imu_cam0
     np.testing.assert_allclose(se3.apply(T_world_cam0, np.zeros(3)), [2.0, -0.5, 0.0], atol=1e-9)

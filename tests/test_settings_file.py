@@ -33,7 +33,7 @@ def test_a_file_changes_only_what_it_names(tmp_path: Path) -> None:
     assert settings.tracker.max_features == 400
     assert settings.epipolar.scale == "fy"
     assert settings.tracker.klt_levels == Settings().tracker.klt_levels
-    assert settings.split == Settings().split
+    assert settings.segmentation == Settings().segmentation
 
 
 @pytest.mark.parametrize("text", ["", "# nothing yet\n", "tracker:\n  # max_features: 400\n"])
@@ -49,8 +49,8 @@ def test_overrides_win_over_the_file_and_later_ones_over_earlier_ones(tmp_path: 
 
 
 def test_an_override_takes_numbers_with_exponents_and_none() -> None:
-    settings = load_settings(None, ["split.false_alarm=1e-3", "imu.gyro_noise=null"])
-    assert settings.split.false_alarm == 1e-3
+    settings = load_settings(None, ["segmentation.false_alarm=1e-3", "imu.gyro_noise=null"])
+    assert settings.segmentation.false_alarm == 1e-3
     assert settings.imu.gyro_noise is None
 
 

@@ -1,7 +1,148 @@
-"""ovmot: stereo-inertial odometry and moving-object tracks, without learned models."""
+"""ovmot: stereo-inertial odometry and moving-object tracks, without learned models.
+
+    import ovmot
+    sequence = ovmot.open("MH_01_easy")
+    odometry = ovmot.Odometry(sequence.rig, sequence.imu_noise)
+    for event in sequence:
+        for frame in odometry.add(event): print(frame.T_world_imu, frame.tracks)
+
+The names below are the public API. They are loaded when they are first used: `import ovmot` itself
+loads none of the libraries that they need.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from ovmot.runtime import limit_blas_threads
 
 limit_blas_threads()
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from ovmot.cameras.camera import Camera
+    from ovmot.cameras.models import CAMERA_MODELS
+    from ovmot.cameras.rig import StereoRig
+    from ovmot.datasets.bag.topics import BagTopics
+    from ovmot.datasets.openvins_config import load_run_config
+    from ovmot.datasets.registry import DATASETS, WRITERS
+    from ovmot.datasets.registry import open_recording as open
+    from ovmot.datasets.sequence import RecordedSequence
+    from ovmot.errors import CalibrationError, DatasetError, InputError, OvmotError
+    from ovmot.frontend.given_features import GivenFeatures
+    from ovmot.odometry import Odometry
+    from ovmot.outputs.finished_run import Run
+    from ovmot.outputs.run_json import RunSummary
+    from ovmot.outputs.run_writer import Output, RunContext
+    from ovmot.run import RunOptions, poses_from_file, run_sequence
+    from ovmot.run_evaluation import Evaluation, evaluate, metrics_table, write_metrics, write_plots
+    from ovmot.runtime import prepare_process
+    from ovmot.settings import Settings, describe_settings
+    from ovmot.settings_file import load_settings
+    from ovmot.sim.scene_file import SCENES
+    from ovmot.sim.simulate import SimulatedSequence, simulate
+    from ovmot.types import (
+        EgoEstimate,
+        Event,
+        FeatureFrame,
+        FrameResult,
+        Health,
+        ImuNoise,
+        ImuSample,
+        ObjectTrack,
+        PointLabel,
+        ScenePoints,
+        StereoFrame,
+        StereoMatches,
+    )
+
+__all__ = [
+    "CAMERA_MODELS",
+    "DATASETS",
+    "SCENES",
+    "WRITERS",
+    "BagTopics",
+    "CalibrationError",
+    "Camera",
+    "DatasetError",
+    "EgoEstimate",
+    "Evaluation",
+    "Event",
+    "FeatureFrame",
+    "FrameResult",
+    "GivenFeatures",
+    "Health",
+    "ImuNoise",
+    "ImuSample",
+    "InputError",
+    "ObjectTrack",
+    "Odometry",
+    "Output",
+    "OvmotError",
+    "PointLabel",
+    "RecordedSequence",
+    "Run",
+    "RunContext",
+    "RunOptions",
+    "RunSummary",
+    "ScenePoints",
+    "Settings",
+    "SimulatedSequence",
+    "StereoFrame",
+    "StereoMatches",
+    "StereoRig",
+    "describe_settings",
+    "evaluate",
+    "load_run_config",
+    "load_settings",
+    "metrics_table",
+    "open",
+    "poses_from_file",
+    "prepare_process",
+    "run_sequence",
+    "simulate",
+    "write_metrics",
+    "write_plots",
+]
+
+_HOMES = {
+    "cameras.camera": "Camera",
+    "cameras.models": "CAMERA_MODELS",
+    "cameras.rig": "StereoRig",
+    "datasets.bag.topics": "BagTopics",
+    "datasets.openvins_config": "load_run_config",
+    "datasets.registry": "DATASETS WRITERS open_recording",
+    "datasets.sequence": "RecordedSequence",
+    "errors": "CalibrationError DatasetError InputError OvmotError",
+    "frontend.given_features": "GivenFeatures",
+    "odometry": "Odometry",
+    "outputs.finished_run": "Run",
+    "outputs.run_json": "RunSummary",
+    "outputs.run_writer": "Output RunContext",
+    "run": "RunOptions poses_from_file run_sequence",
+    "run_evaluation": "Evaluation evaluate metrics_table write_metrics write_plots",
+    "runtime": "prepare_process",
+    "settings": "Settings describe_settings",
+    "settings_file": "load_settings",
+    "sim.scene_file": "SCENES",
+    "sim.simulate": "SimulatedSequence simulate",
+    "types": "EgoEstimate Event FeatureFrame FrameResult Health ImuNoise ImuSample ObjectTrack"
+    " PointLabel ScenePoints StereoFrame StereoMatches",
+}
+"""The names above by the module that defines them; a test holds the three lists together."""
+
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, from its module when it is first used (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module 'ovmot' has no attribute {name!r}")
+    there = "open_recording" if name == "open" else name
+    found = getattr(import_module(f"ovmot.{_HOME_OF[there]}"), there)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

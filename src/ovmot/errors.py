@@ -29,3 +29,7 @@ class DatasetError(InputError):
 
 class InitializationError(OvmotError):
     """No initial state by these frames, and why; more frames may give one."""
+
+
+class SettingsWarning(UserWarning):
+    """A setting is accepted, but not under this name any more."""

@@ -17,11 +17,14 @@ from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.initialization.frame_buffer import FrameBuffer
 from ovmot.initialization.initializer import FilterInitializer
 from ovmot.interfaces import Feedback, FrontEnd, Initializer, OdometrySource, no_feedback
 from ovmot.objects.moving_objects import MovingObjects
+from ovmot.physics import PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
 from ovmot.segmentation.segmentation import Segmentation, segment_points
+from ovmot.segmentation.stereo_history import StereoHistory, stereo_history
 from ovmot.settings import ImuSettings, Settings
 from ovmot.types import (
     EgoEstimate,
@@ -32,11 +35,12 @@ from ovmot.types import (
     Health,
     ImuNoise,
     ImuSample,
+    PixelNoise,
     PointLabel,
     PoseWindow,
     StereoFrame,
 )
-from ovmot.vio.imu_buffer import ImuBuffer, integrated_rotation
+from ovmot.vio.imu_buffer import ImuBuffer
 
 IMU_KEPT_NS = 1_000_000_000
 """IMU samples kept behind the newest frame, on the IMU's clock."""
@@ -95,7 +99,7 @@ class Odometry:
         self._table = empty_table()
         self._feedback = no_feedback(rig)
         self._waiting: deque[StereoFrame | FeatureFrame] = deque()
-        self._before_start: deque[FrontendFrame] = deque()
+        self._before_start = FrameBuffer(self._initializer, settings.initialization)
         self._last_frame_ns: int | None = None
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
@@ -125,7 +129,8 @@ class Odometry:
     def finish(self) -> list[FrameResult]:
         """Stop the worker threads; return the results that were still awaited, in order.
 
-        Frames that the IMU never covered have none; `dropped` counts them.
+        Frames that the IMU never covered have none; `dropped` counts them. A second call does
+        nothing.
         """
         self.dropped += len(self._waiting)
         self._waiting.clear()
@@ -148,16 +153,17 @@ class Odometry:
             pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
         # 3 segment: what the predicted motion does not explain leaves the filter for good
         with watch.stage("segment"):
-            table, segmentation = self._segment(append_frame(self._table, seen), seen, source)
+            table, history, segmentation = self._segment(
+                append_frame(self._table, seen), seen, source, self._noise_in_use(pixel_sigma)
+            )
         # 4 update: zero velocity, SLAM features in view, ended MSCKF features
         with watch.stage("update"):
             source, table = source.update(table)
         # 5 objects: cluster, rigid motions, tracks, by the updated motion
         with watch.stage("objects"):
             objects = self._objects.step(
-                table, segmentation, source.window(), source.calibrated_rig(),
-                self._noise_in_use(pixel_sigma),
-            )  # fmt: skip
+                history, seen.timestamp_ns, segmentation, source.window(), source.calibrated_rig()
+            )
         # 6 marginalize: the oldest clone, or the newest one when stationary
         with watch.stage("marginalize"):
             self._source, self._table = source.marginalize(table)
@@ -184,15 +190,22 @@ class Odometry:
         return result
 
     @property
+    def rig(self) -> StereoRig:
+        """The rig as it was given; what is estimated of it is in each result's `ego`."""
+        return self._rig
+
+    @property
     def started(self) -> bool:
         """Is there an odometry source that runs?"""
         return self._source is not None
 
-    def _noise_in_use(self, measured: float) -> float:
-        """Standard deviation of the pixels of a stereo match, for the objects."""
-        prior = self._settings.objects
-        known = prior.noise != "told" and np.isfinite(measured)
-        return measured if known else prior.pixel_sigma
+    def _noise_in_use(self, measured: float) -> PixelNoise:
+        """The features' noise: as the settings give it, else as measured, else as is usual."""
+        noise = self._settings.noise
+        known = PIXEL_SIGMA if np.isnan(measured) else measured
+        return PixelNoise(
+            noise.pixel_sigma or known, noise.drift_per_frame_px, noise.drift_per_flow
+        )
 
     def latest(self) -> EgoEstimate | None:
         """The state propagated to the newest IMU sample; None before initialization."""
@@ -207,12 +220,12 @@ class Odometry:
         """Track by the gyroscope's rotation and look for an initial state; on success go through
         the frames up to this one."""
         with watch.stage("track"):
-            rotation = self._rotation_before_start(frame)
+            rotation = self._before_start.rotation_until(frame.timestamp_ns, self._imu, self._rig)
             seen, matches = self._frontend.track(frame, rotation, self._feedback)
-        self._before_start.append(seen)
-        self._drop_old_frames()
+        self._before_start.append(seen, self._imu)
+        self._imu.drop_before(self._before_start.imu_needed_from_ns - IMU_KEPT_NS)
         with watch.stage("initialize"):
-            started = self._initializer(tuple(self._before_start), self._imu)
+            started = self._initializer(self._before_start.frames, self._imu)
             if isinstance(started, str):
                 self.not_started_because = started
                 self.counts["frames_before_start"] += 1
@@ -235,25 +248,35 @@ class Odometry:
         self, source: OdometrySource, table: FeatureTable
     ) -> tuple[OdometrySource, FeatureTable, Segmentation]:
         """A source just initialized, its table and the segmentation, at the newest frame."""
-        newest = self._before_start[-1]
+        frames = self._before_start.frames
+        newest, noise = frames[-1], self._noise_in_use(self._feedback.pixel_sigma)
         if newest.timestamp_ns in table.frame_ns:  # the initializer has used them all
-            table, segmentation = self._segment(table, newest, source)
+            table, _, segmentation = self._segment(table, newest, source, noise)
             source, table = source.marginalize(table)
         else:
-            for seen in self._before_start:
+            for seen in frames:
                 source = source.propagate(seen.timestamp_ns, self._imu)
-                table, segmentation = self._segment(append_frame(table, seen), seen, source)
+                table, _, segmentation = self._segment(
+                    append_frame(table, seen), seen, source, noise
+                )
                 source, table = source.update(table)
                 source, table = source.marginalize(table)
         self._before_start.clear()
         return source, table, segmentation
 
     def _segment(
-        self, table: FeatureTable, seen: FrontendFrame, source: OdometrySource
-    ) -> tuple[FeatureTable, Segmentation]:
-        """The segmentation, and the table with dynamic features and outliers marked."""
-        rig = source.calibrated_rig()
-        segmentation = segment_points(table, seen, source.window(), rig, self._settings.split)
+        self, table: FeatureTable, seen: FrontendFrame, source: OdometrySource, noise: PixelNoise
+    ) -> tuple[FeatureTable, StereoHistory, Segmentation]:
+        """The frame's history and segmentation; the table with dynamic features and outliers."""
+        rig, window, settings = (
+            source.calibrated_rig(),
+            source.window(),
+            self._settings.segmentation,
+        )
+        history = stereo_history(
+            table, seen.feature_id, window.timestamp_ns, rig, settings.look_back_s, noise
+        )
+        segmentation = segment_points(table, history, seen, window, rig, settings)
         points = segmentation.points
         if segmentation.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)
@@ -261,7 +284,7 @@ class Odometry:
         else:
             self.counts["frames_split_unsure"] += 1
         outlier = segmentation.outlier | np.isin(points.feature_id, self._feedback.held_id)
-        return mark_outliers(table, points.feature_id, outlier), segmentation
+        return mark_outliers(table, points.feature_id, outlier), history, segmentation
 
     def _watch_health(self, ego: EgoEstimate) -> None:
         """Count what is not well; where the motion is lost, initialize again at the last pose."""
@@ -272,39 +295,6 @@ class Odometry:
             self._resume_at = ego.T_world_imu
             self._source, self._table = None, empty_table()
             self._before_start.clear()
-
-    def _drop_old_frames(self) -> None:
-        """Keep the frames that the initializer looks at, none older than the IMU, and their IMU."""
-        initialization = self._settings.initialization
-        span_ns = round(1.2e9 * initialization.motion_window_s)
-        frames, first_ns = self._before_start, self._imu.first_ns
-        newest = frames[-1].timestamp_ns
-        while len(frames) > 1 and (
-            newest - frames[0].timestamp_ns > span_ns
-            or (
-                first_ns is not None
-                and self._initializer.imu_time_ns(frames[0].timestamp_ns) < first_ns
-            )
-        ):
-            frames.popleft()
-        oldest_ns = self._initializer.imu_time_ns(frames[0].timestamp_ns)
-        self._imu.drop_before(oldest_ns - round(1e9 * initialization.window_s) - IMU_KEPT_NS)
-
-    def _rotation_before_start(self, frame: StereoFrame | FeatureFrame) -> FloatArray:
-        """Left camera's rotation since the last frame by the gyroscope alone, as T_now_before."""
-        T = np.eye(4)
-        if not self._before_start:
-            return T
-        try:
-            samples = self._imu.between(
-                self._initializer.imu_time_ns(self._before_start[-1].timestamp_ns),
-                self._initializer.imu_time_ns(frame.timestamp_ns),
-            )
-        except DatasetError:
-            return T  # no IMU there: start at the old positions
-        R_cam_imu = self._rig.T_imu_cam0[:3, :3].T
-        T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
-        return T
 
     def _step_or_say(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
         """A step whose numerical failure (a matrix not positive, a NaN) names the frame."""

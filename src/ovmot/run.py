@@ -1,4 +1,4 @@
-"""One run: a sequence through the pipeline into an output folder."""
+"""A run: a sequence through the odometry into an output folder."""
 
 import time
 from collections import Counter
@@ -6,28 +6,23 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
-from ovmot.datasets.segmentation import SegmentationMasks
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
-from ovmot.frontend.given_features import GivenFeatures
-from ovmot.initialization.initializer import FilterInitializer
-from ovmot.initialization.known_state import InitialSigmas, KnownStateInitializer
-from ovmot.interfaces import FrontEnd, Initializer
 from ovmot.odometry import STAGES, Odometry, noise_in_use
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.settings import Settings
-from ovmot.sim.features import FeatureRecording
-from ovmot.types import Event, ImuNoise, ImuSample, StereoFrame
+from ovmot.text_files import StrPath
+from ovmot.types import Event, FrameResult, ImuNoise, ImuSample, StereoFrame
 from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_from_cam0
-from ovmot.vio.state import ImuState
 
 _SAY_EVERY_NS = 1_000_000_000
 _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
@@ -35,38 +30,58 @@ _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be d
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What to write, and where from the poses come if not from the filter."""
+    """Where a run writes, what beside its tables, and which part of the sequence it reads.
 
-    out: Path
-    ego_poses: Path | None = None
+    Parameters
+    ----------
+    out
+        The output folder, made if missing.
+    ego_poses
+        A pose file in place of the filter: TUM, EuRoC or KITTI form.
+    save_points, video
+        Write `points.csv` and `stereo.csv`; write `overlay.mp4`.
+    force
+        Replace the run that the folder holds.
+    first, last
+        The first and the last frame (included), counted from 0; None for the end.
+    masks, mask_files
+        A folder of masks, or one image for each camera: nothing is taken from pixels other than 0.
+    more_outputs
+        Factories of further outputs; each result is given to them too.
+    """
+
+    out: StrPath
+    ego_poses: StrPath | None = None
     save_points: bool = False
     video: bool = False
     force: bool = False
     first: int = 0
     last: int | None = None
-    masks: Path | None = None
+    masks: StrPath | None = None
     more_outputs: tuple[Callable[[RunContext], Output], ...] = ()
-    mask_files: tuple[Path | None, Path | None] = (None, None)
+    mask_files: tuple[StrPath | None, StrPath | None] = (None, None)
 
 
 @dataclass(frozen=True, slots=True)
-class _Source:
-    """What a run reads and how it starts, whatever it comes from.
+class RunInput:
+    """What a run reads, wherever it comes from, and the odometry that it is given to.
 
-    `frontend` makes the front end, None the stereo tracker; `imu_noise` is for `run.json`;
-    `frame_number` is that of each stamp (ns).
+    `name` stands before messages. `ego` and `start` say for `run.json` where the poses come from
+    and how they begin; `imu_noise` is for `run.json` too, None without an IMU. `frame_number` is
+    that of each stamp (ns). `counts` and `warnings` are those of the reader; the stream may add to
+    `counts`.
     """
 
     name: str
-    rig: StereoRig
+    odometry: Odometry
     stream: Generator[Event, None, None]
-    start: Initializer
-    frontend: FrontEnd | None
     imu_noise: ImuNoise | None
     identity: InputIdentity
     frame_number: Mapping[int, int]
     counts: Counter[str]
     warnings: Counter[str]
+    ego: Literal["filter", "poses"] = "filter"
+    start: Literal["found", "truth"] = "found"
 
 
 def run_sequence(
@@ -79,113 +94,82 @@ def run_sequence(
     """Run, write everything into `options.out`, and say how it went.
 
     `on_frame` is called with the number of frames read, `on_wait` once a second of the data while
-    there is no start, with the reason. An error or Ctrl-C in the middle leaves whole rows and a
-    `run.json` that says so, and is raised again.
+    there is no initial state, with the reason. An error or Ctrl-C in the middle leaves whole rows
+    and a `run.json` that says so, and is raised again. Raises `InputError` for options that do not
+    fit the sequence or the folder, `OvmotError` where the run fails.
     """
+    counts = Counter(sequence.counts)
     stream = events(sequence, first=options.first, last=options.last)
     for masks in _masks(sequence, settings, options):
         stream = with_masks(stream, masks)
-    source = _Source(
+    poses: GivenPosesInitializer | None = None
+    if options.ego_poses is not None:
+        poses = poses_from_file(options.ego_poses, sequence, settings)
+        stream = _with_pose(stream, poses, counts)
+    elif sequence.imu is None:
+        raise InputError.at(
+            sequence.root,
+            "has no IMU",
+            "give the ego motion by --ego poses FILE (TUM, EuRoC or KITTI form)",
+        )
+    source = RunInput(
         name=str(sequence.root),
-        rig=sequence.rig,
+        odometry=Odometry(sequence.rig, sequence.imu_noise, settings, initializer=poses),
         stream=stream,
-        start=make_initializer(sequence, settings, options.ego_poses),
-        frontend=None,
-        imu_noise=None if sequence.imu is None else imu_noise(sequence, settings),
+        imu_noise=None if sequence.imu is None else noise_in_use(sequence.imu_noise, settings.imu),
         identity=_identity(sequence),
         frame_number=dict(
             zip(sequence.frame_ns.tolist(), sequence.frame_number.tolist(), strict=True)
         ),
-        counts=Counter(sequence.counts),
+        counts=counts,
         warnings=Counter(sequence.warnings),
+        ego="filter" if poses is None else "poses",
     )
-    return _run(source, settings, options, on_frame, on_wait)
+    return run_into_folder(source, settings, options, on_frame, on_wait)
 
 
-def _masks(
-    sequence: RecordedSequence, settings: Settings, options: RunOptions
-) -> Iterator[MaskSource]:
-    """The masks of a folder, of two files, and of the data's segmentation."""
-    if options.masks is not None:
-        yield open_masks(options.masks, sequence.rig)
-    if any(options.mask_files):
-        yield open_mask_files(options.mask_files, sequence.rig)
-    ids = settings.masks.segmentation_ids
-    if ids and sequence.segmentation is None:
-        remedy = "leave out masks.segmentation_ids"
-        raise InputError.at(sequence.root, "has no segmentation pictures", remedy)
-    if ids and sequence.segmentation is not None:
-        yield SegmentationMasks.make(sequence.segmentation, ids, sequence.rig)
+def poses_from_file(
+    path: StrPath, sequence: RecordedSequence, settings: Settings | None = None
+) -> GivenPosesInitializer:
+    """An initializer for `Odometry` that takes the rig's poses from a file, in place of the filter.
+
+    TUM and EuRoC files hold poses of the IMU by time, KITTI files (12 columns) those of the left
+    camera, one row a frame. `settings.given_ego` says how far they are trusted. Frames without a
+    pose must not be given to the odometry; the initializer's `ego.pose_ns` (M,) are the stamps of
+    those that have one. Raises `InputError` with file and row.
+    """
+    ego = read_ego_poses(Path(path), sequence.frame_ns)
+    T = ego.T_world_body[ego.known]
+    if ego.body == "cam0":
+        T = imu_poses_from_cam0(T, sequence.rig)
+    trust = (settings or Settings()).given_ego
+    return GivenPosesInitializer(
+        GivenPoses(ego.timestamp_ns[ego.known], T, sequence.rig, trust)
+    )  # fmt: skip
 
 
-def run_features(
-    recording: FeatureRecording,
+def run_into_folder(
+    source: RunInput,
     settings: Settings,
     options: RunOptions,
     on_frame: Callable[[int], None] = lambda _: None,
-    initial_sigmas: InitialSigmas = InitialSigmas(),  # noqa: B008 - frozen
-    initial_rig: StereoRig | None = None,
-) -> RunSummary:
-    """Run a feature-level simulation, started at its truth; as `run_sequence` otherwise.
-
-    `initial_sigmas` are the prior standard deviations of that start, `initial_rig` the
-    calibration that it is given in place of the true one. Raises `InputError` for what
-    needs images or frame numbers: an overlay, poses from a file, a first or last frame.
-    """
-    if options.video or options.ego_poses is not None or options.first or options.last is not None:
-        raise InputError("a feature-level simulation has no images and runs from end to end")
-    simulation = recording.simulation
-    rig = initial_rig or simulation.rig
-    source = _Source(
-        name="feature simulation",
-        rig=rig,
-        stream=recording.events(),
-        start=known_state_initializer(recording, settings, initial_sigmas, rig),
-        frontend=GivenFeatures(rig, settings.tracker, settings.epipolar),
-        imu_noise=simulation.imu.noise,
-        identity=InputIdentity(
-            path="",
-            kind="features",
-            n_frames=len(simulation.camera_ns),
-            n_imu_samples=len(recording.imu.data),
-            first_timestamp_ns=int(simulation.camera_ns[0]),
-            last_timestamp_ns=int(simulation.camera_ns[-1]),
-        ),
-        frame_number={int(t): i for i, t in enumerate(simulation.camera_ns)},
-        counts=Counter(seed=recording.seed),
-        warnings=Counter(),
-    )
-    return _run(source, settings, options, on_frame)
-
-
-def _run(
-    source: _Source,
-    settings: Settings,
-    options: RunOptions,
-    on_frame: Callable[[int], None],
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> RunSummary:
-    counts = Counter(source.counts)
+    """Give the stream to the odometry and its results to the files; see `run_sequence`."""
+    odometry, counts, out = source.odometry, source.counts, Path(options.out)
     began = time.perf_counter()
     ended = "finished"
     failure: BaseException | None = None
-    odometry = Odometry(
-        source.rig,
-        source.imu_noise,
-        settings,
-        initializer=source.start,
-        frontend=source.frontend,
-    )
     writer = open_outputs(
-        options.out, rig=source.rig, save_points=options.save_points, video=options.video,
+        out, rig=odometry.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
         frame_number=source.frame_number if settings.objects.enabled else None,
         more=options.more_outputs,
     )  # fmt: skip
     try:
         with writer, closing(source.stream):
-            stream = _with_pose(source.stream, source.start, counts)
-            _feed_all(_saying(stream, odometry, on_wait), odometry, writer, counts, on_frame)
+            counted = _counted(source.stream, counts, on_frame)
+            _write_all(_saying(counted, odometry, on_wait), odometry, writer, counts)
             if writer.frames_written == 0:
                 why = odometry.not_started_because or "no frame was seen"
                 raise OvmotError(f"{source.name}: never started: {why}")
@@ -202,7 +186,7 @@ def _run(
         counts.update(odometry.counts)
         summary = RunSummary(
             settings=settings,
-            options=_options(options, source.start),
+            options=_options(options, source),
             imu_noise=source.imu_noise,
             source=source.identity,
             counts=counts,
@@ -212,12 +196,29 @@ def _run(
             wall_seconds=time.perf_counter() - began,
         )
         try:
-            write_run_json(options.out, summary)
+            write_run_json(out, summary)
         except OvmotError as second:
             if failure is None:
                 raise
             failure.add_note(str(second))  # the first error is the one to report
     return summary
+
+
+def _masks(
+    sequence: RecordedSequence, settings: Settings, options: RunOptions
+) -> Iterator[MaskSource]:
+    """The masks of a folder, of two files, and of the data's segmentation."""
+    if options.masks is not None:
+        yield open_masks(Path(options.masks), sequence.rig)
+    if any(options.mask_files):
+        left, right = (None if file is None else Path(file) for file in options.mask_files)
+        yield open_mask_files((left, right), sequence.rig)
+    ids = settings.masks.segmentation_ids
+    if ids and sequence.segmentation is None:
+        remedy = "leave out masks.segmentation_ids"
+        raise InputError.at(sequence.root, "has no segmentation pictures", remedy)
+    if ids and sequence.segmentation is not None:
+        yield InstanceMasks.make(sequence.segmentation, ids, sequence.rig)
 
 
 def _warnings(
@@ -249,78 +250,50 @@ def _warnings(
     return warnings
 
 
-def _options(options: RunOptions, start: Initializer) -> dict[str, str | int | None]:
+def _options(options: RunOptions, source: RunInput) -> dict[str, str | int | None]:
     """What the run was asked for, beside its settings."""
+    poses, masks = options.ego_poses, options.masks
     return {
-        "ego": "poses" if isinstance(start, GivenPosesInitializer) else "filter",
-        "start": "truth" if isinstance(start, KnownStateInitializer) else "found",
-        "ego_poses": None if options.ego_poses is None else str(options.ego_poses.resolve()),
-        "masks": None if options.masks is None else str(options.masks.resolve()),
+        "ego": source.ego,
+        "start": source.start,
+        "ego_poses": None if poses is None else str(Path(poses).resolve()),
+        "masks": None if masks is None else str(Path(masks).resolve()),
         "mask_files": ", ".join(str(file) for file in options.mask_files if file) or None,
         "first": options.first,
         "last": options.last,
     }
 
 
-def make_initializer(
-    sequence: RecordedSequence, settings: Settings, ego_poses: Path | None
-) -> Initializer:
-    """Where the ego motion comes from: a pose file if one is given, else the filter."""
-    if ego_poses is not None:
-        ego = read_ego_poses(ego_poses, sequence.frame_ns)
-        T = ego.T_world_body[ego.known]
-        if ego.body == "cam0":
-            T = imu_poses_from_cam0(T, sequence.rig)
-        stamps = ego.timestamp_ns[ego.known]
-        return GivenPosesInitializer(GivenPoses(stamps, T, sequence.rig, settings.given_ego))
-    if sequence.imu is None:
-        raise InputError.at(
-            sequence.root,
-            "has no IMU",
-            "give the ego motion by --ego poses FILE (TUM, EuRoC or KITTI form)",
-        )
-    return FilterInitializer(sequence.rig, imu_noise(sequence, settings), settings)
-
-
-def known_state_initializer(
-    recording: FeatureRecording, settings: Settings, sigmas: InitialSigmas, rig: StereoRig
-) -> KnownStateInitializer:
-    """The filter's start at the truth of a simulation's first frame, exact biases included.
-
-    A rig whose time offset is wrong puts that frame at another instant: the truth is that of then.
-    """
-    simulation, truth = recording.simulation, recording.truth()
-    first_ns = int(truth.timestamp_ns[0])
-    then_ns = first_ns + round(1e9 * (rig.time_offset_s - simulation.rig.time_offset_s))
-    T, velocity = simulation.path.pose(then_ns), simulation.path.velocity(then_ns)
-    state = ImuState(T[:3, :3], T[:3, 3], velocity, truth.gyro_bias[0], truth.accel_bias[0])
-    return KnownStateInitializer(first_ns, state, sigmas, rig, simulation.imu.noise, settings)
-
-
-def imu_noise(sequence: RecordedSequence, settings: Settings) -> ImuNoise:
-    """Noise densities for a sequence, see `noise_in_use`."""
-    return noise_in_use(sequence.imu_noise, settings.imu)
-
-
-def _feed_all(
-    stream: Iterable[Event],
-    odometry: Odometry,
-    writer: RunWriter,
-    counts: Counter[str],
-    on_frame: Callable[[int], None],
-) -> None:
+def _counted(
+    stream: Iterable[Event], counts: Counter[str], on_frame: Callable[[int], None]
+) -> Iterator[Event]:
+    """The events; how many of each kind there were goes into `counts`, the frames to `on_frame`."""
     for event in stream:
-        if not isinstance(event, ImuSample):
+        if isinstance(event, ImuSample):
+            counts["imu_samples_read"] += 1
+        else:
             counts["frames_read"] += 1
             on_frame(counts["frames_read"] + counts["frames_without_pose"])
-        else:
-            counts["imu_samples_read"] += 1
-        for result in odometry.add(event):
-            writer.write(result)
-            counts["stereo_matches"] += len(result.matches.accepted)
-            counts["stereo_matches_refused"] += int(np.count_nonzero(~result.matches.accepted))
-            if isinstance(result.frame, StereoFrame) and not result.matches.accepted.any():
-                counts["frames_without_stereo"] += 1
+        yield event
+
+
+def _write_all(
+    stream: Iterable[Event], odometry: Odometry, writer: RunWriter, counts: Counter[str]
+) -> None:
+    """Write the results of all events; their stereo matches go into `counts`."""
+    for result in _results(stream, odometry):
+        writer.write(result)
+        accepted = result.matches.accepted
+        counts["stereo_matches"] += len(accepted)
+        counts["stereo_matches_refused"] += int(np.count_nonzero(~accepted))
+        if isinstance(result.frame, StereoFrame) and not accepted.any():
+            counts["frames_without_stereo"] += 1
+
+
+def _results(stream: Iterable[Event], odometry: Odometry) -> Iterator[FrameResult]:
+    for event in stream:
+        yield from odometry.add(event)
+    yield from odometry.finish()
 
 
 def _saying(
@@ -343,19 +316,17 @@ def _saying(
 
 
 def _with_pose(
-    stream: Iterable[Event], start: Initializer, counts: Counter[str]
-) -> Iterator[Event]:
+    stream: Generator[Event, None, None], poses: GivenPosesInitializer, counts: Counter[str]
+) -> Generator[Event, None, None]:
     """The events, without the frames for which a pose file has no pose; those are counted."""
-    if not isinstance(start, GivenPosesInitializer):
-        yield from stream
-        return
     counts["frames_without_pose"] = 0
-    posed = set(start.source.pose_ns.tolist())
-    for event in stream:
-        if isinstance(event, ImuSample) or event.timestamp_ns in posed:
-            yield event
-        else:
-            counts["frames_without_pose"] += 1
+    posed = set(poses.source.pose_ns.tolist())
+    with closing(stream):
+        for event in stream:
+            if isinstance(event, ImuSample) or event.timestamp_ns in posed:
+                yield event
+            else:
+                counts["frames_without_pose"] += 1
 
 
 def _identity(sequence: RecordedSequence) -> InputIdentity:

@@ -70,6 +70,17 @@ class EpipolarSettings(Section):
     """How pixels become plane units: along the line's normal, or by 1/fy."""
 
 
+class NoiseSettings(Section):
+    """Noise of features in the image, for all stages after the front end."""
+
+    pixel_sigma: float | None = Field(None, gt=0.0)
+    """Standard deviation of a stereo match's pixels; left out, epipolar distances measure it."""
+    drift_per_frame_px: float = Field(0.15, ge=0.0)
+    """How far a tracked patch drifts from one frame to the next, standard deviation."""
+    drift_per_flow: float = Field(0.01, ge=0.0)
+    """Further drift, as a share of its way through the image."""
+
+
 class FilterSettings(Section):
     """The sliding-window filter (MSCKF)."""
 
@@ -235,15 +246,15 @@ class SegmentationSettings(Section):
     """Dynamic points: which points the ego motion does not explain."""
 
     enabled: bool = True
-    """Split the points; off, every point is taken as static."""
+    """Segment the points; off, every point is taken as static."""
     candidates: Literal["tracked", "ransac"] = "tracked"
     """Test all tracked stereo points, or only those that the two-view test rejected."""
     test: Literal["covariance", "fixed"] = "covariance"
     """Decide by each point's own covariance, or by the fixed thresholds below."""
-    look_back_s: tuple[float, ...] = (1.5, 0.8, 0.3)
-    """Earlier times to compare with; the last frame always is."""
+    look_back_s: tuple[float, ...] = (1.5, 1.0, 0.7, 0.4, 0.2, 0.1)
+    """Earlier times at which positions are compared with those of now; the last frame always is."""
     max_range_m: float = Field(60.0, gt=0.0)
-    """Points farther than this are not judged."""
+    """Points farther than this are not judged, and belong to no object."""
     distance_threshold_m: float = Field(0.25, gt=0.0)
     """Fixed test: distance between predicted and observed position."""
     depth_weight: float = Field(0.3, ge=0.0, le=1.0)
@@ -253,13 +264,9 @@ class SegmentationSettings(Section):
     combine: Literal["any", "all"] = "any"
     """Fixed test: one threshold passed is enough, or both must be."""
     false_alarm: float = Field(1e-4, gt=0.0, lt=0.5)
-    """Covariance test: probability that a static point is called dynamic in one comparison."""
+    """Covariance tests: probability that a static point, or object, is called dynamic."""
     forgiven_speed_mps: float = Field(0.15, ge=0.0)
     """Covariance test: standard deviation of the drift forgiven to points at rest."""
-    pixel_sigma: float = Field(0.4, gt=0.0)
-    """Covariance test: standard deviation of a stereo point's pixels."""
-    drift_per_flow: float = Field(0.01, ge=0.0)
-    """Covariance test: further standard deviation, as a share of the way through the image."""
 
 
 class ObjectSettings(Section):
@@ -269,10 +276,6 @@ class ObjectSettings(Section):
     """Look for bodies and track them."""
     seed: int = Field(0, ge=0)
     """Seed of the random samples."""
-    look_back_s: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.1)
-    """Earlier times to choose from; each body is compared with the one that tells most."""
-    max_range_m: float = Field(60.0, gt=0.0)
-    """Points farther than this belong to no body."""
     max_points: int = Field(240, ge=10)
     """Points that are looked at in a frame; those followed longest come first."""
     points_per_track: int = Field(40, ge=3)
@@ -285,14 +288,6 @@ class ObjectSettings(Section):
     """Bodies with fewer points are left out."""
     max_excluded_share: float = Field(0.5, ge=0.0, le=1.0)
     """Share of all points that bodies may take away from the ego filter."""
-    noise: Literal["measured", "told"] = "measured"
-    """Noise of stereo pairs: measured by their distances to epipolar lines, or told."""
-    pixel_sigma: float = Field(0.3, gt=0.0)
-    """Standard deviation of each coordinate of a stereo pair, pixels."""
-    drift_per_frame_px: float = Field(0.15, ge=0.0)
-    """How far a followed patch slides from one frame to the next, standard deviation, pixels."""
-    drift_per_flow: float = Field(0.01, ge=0.0)
-    """Further slide, as a share of the way through the image."""
     accel_sigma_mps2: float = Field(1.0, ge=0.0)
     """Standard deviation of a body's acceleration, which one velocity over the span leaves out."""
     yaw_rate_sigma_rps: float = Field(0.4, gt=0.0)
@@ -378,6 +373,7 @@ class Settings(Section):
 
     tracker: TrackerSettings = TrackerSettings()
     epipolar: EpipolarSettings = EpipolarSettings()
+    noise: NoiseSettings = NoiseSettings()
     masks: MaskSettings = MaskSettings()
     filter: FilterSettings = FilterSettings()
     calibration: CalibrationSettings = CalibrationSettings()
@@ -386,7 +382,7 @@ class Settings(Section):
     zero_velocity: ZeroVelocitySettings = ZeroVelocitySettings()
     health: HealthSettings = HealthSettings()
     given_ego: GivenEgoSettings = GivenEgoSettings()
-    split: SegmentationSettings = SegmentationSettings()
+    segmentation: SegmentationSettings = SegmentationSettings()
     objects: ObjectSettings = ObjectSettings()
     object_tracks: ObjectTrackSettings = ObjectTrackSettings()
     live: LiveSettings = LiveSettings()

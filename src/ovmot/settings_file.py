@@ -1,29 +1,50 @@
 """Settings from a YAML file and `--set`: only what differs from the defaults.
 
-Unknown keys and values of the wrong type are errors that name the file and the key.
+Unknown keys and values of the wrong type are errors that name the file and the key. Keys of version
+0.1 that have another name now are accepted with a warning.
 """
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from ovmot.errors import InputError
+from ovmot.errors import InputError, SettingsWarning
 from ovmot.settings import Settings
-from ovmot.text_files import YamlError, parse_yaml, read_yaml
+from ovmot.text_files import StrPath, YamlError, parse_yaml, read_yaml
+
+RENAMED = {
+    "split": "segmentation",
+    "split.pixel_sigma": "noise.pixel_sigma",
+    "split.drift_per_flow": "noise.drift_per_flow",
+    "objects.pixel_sigma": "noise.pixel_sigma",
+    "objects.slide_per_hop_px": "noise.drift_per_frame_px",
+    "objects.slide_per_flow": "noise.drift_per_flow",
+    "objects.look_back_s": "segmentation.look_back_s",
+    "objects.max_range_m": "segmentation.max_range_m",
+    "objects.static_false_alarm": "segmentation.false_alarm",
+    "objects.depth_weight": "segmentation.depth_weight",
+}
+"""Sections and keys of version 0.1, and what they are called now."""
+
+REMOVED = {
+    "objects.noise": "the noise is measured unless noise.pixel_sigma is given",
+}
+"""Keys of version 0.1 that are no settings any more, and what takes their place."""
 
 SETTINGS_REMEDY = "list them with 'ovmot settings'"
 
 
-def load_settings(path: Path | None, overrides: Sequence[str] = ()) -> Settings:
+def load_settings(path: StrPath | None = None, overrides: Sequence[str] = ()) -> Settings:
     """Settings from a YAML file (or none) and `section.key=value` overrides, later ones winning.
 
     Raises `InputError` naming the file or the override, the key, and what is allowed.
     """
     data: dict[str, Any] = {}
     if path is not None:
-        loaded = read_yaml_mapping(path)
+        loaded = read_yaml_mapping(Path(path))
         # a section whose keys are all commented out
         data = {key: {} if value is None else value for key, value in loaded.items()}
     return make_settings(data, overrides, None if path is None else str(path))
@@ -36,6 +57,7 @@ def make_settings(
     data = dict(sections)
     for text in overrides:
         _apply_override(data, text)
+    data = accept_old_keys(data)
     try:
         return Settings.model_validate(data)
     except ValidationError as error:
@@ -43,6 +65,37 @@ def make_settings(
         raise InputError(
             f"{', '.join(sources)}: {plain_messages(error, SETTINGS_REMEDY)}"
         ) from None
+
+
+def accept_old_keys(data: dict[str, Any]) -> dict[str, Any]:
+    """The sections with the present names of old keys; each old one is warned of, and gives way
+    where the new one is there too."""
+    out: dict[str, Any] = {}
+    old: list[tuple[str, str, Any]] = []
+    for section, keys in data.items():
+        target = RENAMED.get(section, section)
+        if target != section:
+            _warn(section, f"is called '{target}' now")
+        if not isinstance(keys, dict):
+            out[target] = keys
+            continue
+        kept = out.setdefault(target, {})
+        for name, value in keys.items():
+            key = f"{section}.{name}"
+            if key in REMOVED:
+                _warn(key, f"is no setting any more: {REMOVED[key]}")
+            elif key in RENAMED:
+                _warn(key, f"is called '{RENAMED[key]}' now")
+                old.append((*RENAMED[key].split("."), value))
+            else:
+                kept[name] = value
+    for section, name, value in old:
+        out.setdefault(section, {}).setdefault(name, value)
+    return out
+
+
+def _warn(key: str, what: str) -> None:
+    warnings.warn(f"setting '{key}' {what}", SettingsWarning, stacklevel=5)
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Text and YAML files that users give: read so that none can hang, flood or run the program."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,9 @@ from typing import Any
 import yaml
 
 from ovmot.errors import InputError
+
+StrPath = str | os.PathLike[str]
+"""A file or folder, as text or as a `Path`: what every public function takes."""
 
 _MOST_YAML_CHARACTERS = 500_000
 _MOST_YAML_VALUES = 100_000

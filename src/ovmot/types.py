@@ -14,7 +14,17 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """One IMU reading: angular velocity (3,) in rad/s and specific force (3,) in m/s²."""
+    """One IMU reading, in the IMU's axes.
+
+    Attributes
+    ----------
+    timestamp_ns
+        Time on the IMU's clock, integer ns.
+    gyro
+        Angular velocity (3,), rad/s.
+    accel
+        Specific force (3,), m/s²; at rest it is +9.81 along the axis that points up.
+    """
 
     timestamp_ns: int
     gyro: FloatArray
@@ -23,9 +33,17 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class StereoFrame:
-    """One stereo pair of grey images (height, width), both exposed at `timestamp_ns`.
+    """One stereo pair, both images exposed at the same time.
 
-    From pixels where a mask (height, width) is not zero, nothing is taken.
+    Attributes
+    ----------
+    timestamp_ns
+        Middle of the exposure on the cameras' clock, integer ns.
+    left, right
+        Grey images (height, width) of `cam0` and `cam1`, uint8, as they come: not undistorted, not
+        rectified.
+    left_mask, right_mask
+        Images (height, width); from pixels where they are not zero, nothing is taken.
     """
 
     timestamp_ns: int
@@ -39,9 +57,18 @@ class StereoFrame:
 class FeatureFrame:
     """Features with ids in place of the images of one stereo pair: what another tracker saw.
 
-    `pixels` (N, 4): u, v in the left and u, v in the right image, the right half NaN where there is
-    no match, the left half for a feature of the right camera alone. The matches have not been
-    checked.
+    The odometry takes them with the front end `GivenFeatures`.
+
+    Attributes
+    ----------
+    timestamp_ns
+        Middle of the exposure on the cameras' clock, integer ns.
+    feature_id
+        Ids (N,), the same from frame to frame, each once.
+    pixels
+        Pixels (N, 4): u, v in the left and u, v in the right image; the right half is NaN where
+        there is no match, the left half for a feature of the right camera alone. The matches have
+        not been checked.
     """
 
     timestamp_ns: int
@@ -62,9 +89,14 @@ Event = ImuSample | StereoFrame | FeatureFrame
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Continuous-time noise densities of an IMU.
+    """Continuous-time noise densities of an IMU, as Kalibr and OpenVINS give them.
 
-    gyro rad/s/√Hz, gyro_walk rad/s²/√Hz, accel m/s²/√Hz, accel_walk m/s³/√Hz.
+    Attributes
+    ----------
+    gyro, accel
+        White noise: rad/s/√Hz and m/s²/√Hz.
+    gyro_walk, accel_walk
+        Random walk of the biases: rad/s²/√Hz and m/s³/√Hz.
     """
 
     gyro: float
@@ -83,6 +115,24 @@ class ImuData:
 
     def __len__(self) -> int:
         return len(self.timestamp_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class PixelNoise:
+    """Noise of tracked features in the image, standard deviations.
+
+    `sigma_px`: white noise of each pixel coordinate of a stereo pair. A tracked patch drifts on its
+    surface: `drift_per_frame_px` from one frame to the next, as a random walk, and further
+    `drift_per_flow` of its way through the image, as its view changes.
+    """
+
+    sigma_px: float
+    drift_per_frame_px: float
+    drift_per_flow: float
+
+    def drift_sigma_px(self, n_frames: IntArray) -> FloatArray:
+        """Standard deviation (L,) of the drift over numbers of frames (L,), pixels."""
+        return np.asarray(self.drift_per_frame_px * np.sqrt(n_frames))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +159,20 @@ class FrontendFrame:
 
 @dataclass(frozen=True, slots=True)
 class StereoMatches:
-    """Every stereo match tested in a frame by the epipolar gate, accepted or not.
+    """The N stereo matches of a frame that the epipolar gate has tested.
 
-    `pixels` (N, 4): left and right position; `distance_px` (N,): distance of the right point to
-    its epipolar line; `line` (N, 3): that line a, b, c in the right camera's undistorted plane.
+    Attributes
+    ----------
+    feature_id
+        Ids (N,) of the features.
+    pixels
+        Pixels (N, 4): u, v in the left and u, v in the right image.
+    distance_px
+        Distance (N,) of the right point to its epipolar line, pixels.
+    accepted
+        Which matches (N,) passed.
+    line
+        Epipolar lines (N, 3): a x + b y + c = 0 in the right camera's normalized coordinates.
     """
 
     feature_id: IntArray
@@ -123,7 +183,7 @@ class StereoMatches:
 
 
 class PointLabel(IntEnum):
-    """Does a point of the scene move?"""
+    """Does a point of the scene move? Unknown where there was nothing to compare it with."""
 
     UNKNOWN = 0
     STATIC = 1
@@ -132,13 +192,33 @@ class PointLabel(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ScenePoints:
-    """The split's verdict on the N features of a frame, with what it was decided from.
+    """The N features of a frame: where they are, whether they move, and how that was decided.
 
-    `p_cam0` (N, 3): position in the left camera from stereo alone, metres, NaN without a match;
-    `cov_cam0` (N, 3, 3): its covariance. `label` (N,) holds `PointLabel`, `track_id` (N,) the
-    object or -1. `previous` and `predicted` (N, 2): left pixels at the earlier time compared and
-    where a static point would be now. `distance_m` and `reprojection_px` (N,): the two distances
-    of that comparison. `two_view_inlier` (N,): the verdict of the front end's robust test.
+    Attributes
+    ----------
+    feature_id
+        Ids (N,), the same from frame to frame.
+    pixels
+        Pixels (N, 4): u, v in the left and u, v in the right image, NaN where not seen.
+    p_cam0
+        Positions (N, 3) in the left camera's frame from this stereo pair alone, m; NaN without a
+        match.
+    cov_cam0
+        Covariance (N, 3, 3) of `p_cam0`, m².
+    label
+        `PointLabel` (N,) as integers.
+    track_id
+        The object (N,) that the feature belongs to, -1 for none.
+    previous
+        Left pixels (N, 2) at the earlier frame of the comparison.
+    predicted
+        Left pixels (N, 2) where a static point would be now.
+    distance_m
+        Distance (N,) between predicted and observed position, depth weighted down, m.
+    reprojection_px
+        Reprojection error (N,) of the prediction, the worse of both cameras, pixels.
+    two_view_inlier
+        Which features (N,) passed the front end's RANSAC between the last frame and this one.
     """
 
     feature_id: IntArray
@@ -166,8 +246,14 @@ class Health(StrEnum):
 class CalibrationEstimate:
     """The calibration estimated online: C coordinates by name, as deviations from the files'.
 
-    `deviation`, `std` (C,): extrinsics as rotation vectors (rad) and positions (m) of cameras on
-    the IMU, lenses in pixels and coefficients, matrices of the IMU by row.
+    Attributes
+    ----------
+    names
+        The coordinates' names, as in `calibration.csv`.
+    deviation, std
+        Value and 1-sigma (C,): extrinsics as rotation vectors (rad) and positions (m) of the
+        cameras in the IMU's frame, intrinsics in pixels, distortion coefficients, the IMU's
+        matrices by row.
     """
 
     names: tuple[str, ...]
@@ -177,11 +263,34 @@ class CalibrationEstimate:
 
 @dataclass(frozen=True, slots=True)
 class EgoEstimate:
-    """Where the rig is at one frame: the IMU's state and its covariance.
+    """The rig's state at one frame and its covariance.
 
-    `covariance` (15, 15) is over rotation (right perturbation, rad), position, velocity, gyro
-    bias, accelerometer bias. Quantities an ego source can not know (a pose file has no biases)
-    are NaN, with NaN in the covariance.
+    Quantities that an odometry source cannot know (a pose file has no biases) are NaN, with NaN in
+    the covariance.
+
+    Attributes
+    ----------
+    timestamp_ns
+        Stamp of the frame on the cameras' clock, ns.
+    T_world_imu
+        Pose (4, 4) of the IMU: maps points of its frame into the world (z up), m.
+    velocity
+        Velocity (3,) of the IMU in the world, m/s.
+    gyro_bias, accel_bias
+        Biases (3,) in the IMU's axes, rad/s and m/s².
+    covariance
+        (15, 15) over rotation (right perturbation, rad), position, velocity, gyro bias,
+        accelerometer bias, in the units above squared.
+    T_imu_cam0, T_imu_cam1
+        Poses (4, 4) of the cameras in the IMU's frame, as calibrated now, m.
+    time_offset_s, time_offset_std_s
+        t_imu - t_cam and its 1-sigma, s.
+    standing
+        Whether the rig is stationary: a zero-velocity update was made.
+    health
+        How far the pose can be trusted.
+    calibration
+        What is estimated of the calibration, None where nothing is.
     """
 
     timestamp_ns: int
@@ -201,7 +310,29 @@ class EgoEstimate:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTrack:
-    """One moving rigid body at one frame; the row of `tracks.csv` (world frame, SI)."""
+    """One moving rigid object at one frame; a row of `tracks.csv`.
+
+    Attributes
+    ----------
+    track_id
+        The object's number; it is used once in a run.
+    state
+        "tentative": new, often false; "confirmed"; "coasting": predicted, not seen in this frame.
+    position
+        Middle (3,) of the box around its seen points, in the world, m.
+    velocity
+        Velocity (3,) in the world, m/s.
+    yaw, yaw_rate
+        Heading about the world's z axis from its x axis, rad, and its rate, rad/s.
+    size
+        Length, width, height (3,) of the box, m.
+    box_px
+        u_min, v_min, u_max, v_max (4,) in the left image, pixels; NaN where it is not in view.
+    n_points
+        Features seen of it in this frame.
+    std_position, std_velocity
+        1-sigma (3,) of position and velocity, m and m/s.
+    """
 
     track_id: int
     state: str
@@ -218,9 +349,27 @@ class ObjectTrack:
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """Everything the pipeline says about one stereo frame; `milliseconds` is time per stage.
+    """What the odometry gives for one stereo frame.
 
-    `segment` counts the resets before: between segments the position may jump.
+    The parts asked for most are properties: `timestamp_ns`, `T_world_imu`, `velocity`,
+    `covariance`, `health`.
+
+    Attributes
+    ----------
+    frame
+        The frame itself.
+    ego
+        The rig's state, its covariance and the calibration in use.
+    points
+        The frame's features: positions and static, dynamic or unknown.
+    matches
+        Every stereo match that was tested.
+    tracks
+        The moving objects, confirmed or not.
+    milliseconds
+        Time of each stage, ms.
+    segment
+        How often the motion was lost before; between segments the pose may jump.
     """
 
     frame: StereoFrame | FeatureFrame
@@ -233,12 +382,33 @@ class FrameResult:
 
     @property
     def timestamp_ns(self) -> int:
+        """Stamp of the frame on the cameras' clock, integer ns."""
         return self.frame.timestamp_ns
+
+    @property
+    def T_world_imu(self) -> FloatArray:
+        """Pose (4, 4) of the IMU: maps points of its frame into the world (z up), m."""
+        return self.ego.T_world_imu
+
+    @property
+    def velocity(self) -> FloatArray:
+        """Velocity (3,) of the IMU in the world, m/s."""
+        return self.ego.velocity
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (15, 15) of the state: see `EgoEstimate.covariance`."""
+        return self.ego.covariance
+
+    @property
+    def health(self) -> Health:
+        """How far the pose can be trusted."""
+        return self.ego.health
 
 
 @dataclass(frozen=True, slots=True)
 class PoseWindow:
-    """The poses that the split and the front end reason with: K clones, newest last.
+    """The poses that segmentation and front end reason with: K clones, newest last.
 
     `timestamp_ns` (K,), `T_world_imu` (K, 4, 4), `covariance` (6K, 6K) over rotation (right
     perturbation, rad) and position (m) of each clone.

@@ -15,7 +15,7 @@ sequences:
   walk: {features: walk.txt, n_features: 100}
 settings:
   default: {}
-  no_split: {split.enabled: false, tracker: {max_features: 100}, tracker.klt_levels: 3}
+  no_seg: {segmentation.enabled: false, tracker: {max_features: 100}, tracker.klt_levels: 3}
 seeds: 3
 """
 
@@ -32,8 +32,8 @@ def test_a_plan(tmp_path: Path) -> None:
     assert isinstance(mh01, Recorded) and mh01.data == tmp_path / "data" / "mh01"
     assert isinstance(street, Rendered) and street.size == (320, 140)
     assert isinstance(walk, Features) and walk.features == tmp_path / "walk.txt"
-    settings = plan.settings_of("no_split")
-    assert not settings.split.enabled
+    settings = plan.settings_of("no_seg")
+    assert not settings.segmentation.enabled
     assert (settings.tracker.max_features, settings.tracker.klt_levels) == (100, 3)
     assert plan.seed_list == (0, 1, 2)
 
@@ -75,8 +75,14 @@ def test_a_plan_of_the_least(tmp_path: Path) -> None:
         ("seeds: 3", "seed: 3", "unknown key 'seed'"),
         ("n_features: 100", "calibration_error: {rotation: 1}", "calibration_error.rotation'"),
         ("n_features: 100", "calibration_error: {rotation_deg: -1}", "greater than or equal to 0"),
-        ("split.enabled: false", "split.enable: false", "no_split: unknown key 'split.enable'"),
-        ("split.enabled: false", "split.enabled: 7", "settings no_split: 'split.enabled'"),
+        (
+            "segmentation.enabled: false", "segmentation.enable: false",
+            "no_seg: unknown key 'segmentation.enable'",
+        ),
+        (
+            "segmentation.enabled: false", "segmentation.enabled: 7",
+            "settings no_seg: 'segmentation.enabled'",
+        ),
         ("sequences:", "sequences: !!python/object:os.system", "not valid YAML"),
         (PLAN, "", "'sequences' is missing"),
         (PLAN, "[]", "holds no keys"),

@@ -13,10 +13,10 @@ from ovmot.batch.work import work
 from ovmot.datasets.pose_files import write_tum
 from ovmot.geometry import se3, so3
 from ovmot.settings_file import load_settings
-from ovmot.sim.miscalibration import CalibrationError
+from ovmot.sim.miscalibration import Miscalibration
 
 CALIBRATING = load_settings(None, ["calibration.extrinsics=true", "epipolar.threshold_px=30"])
-WRONG = CalibrationError(rotation_deg=1.0, position_m=0.02, time_offset_s=0.004)
+WRONG = Miscalibration(rotation_deg=1.0, position_m=0.02, time_offset_s=0.004)
 
 
 @pytest.fixture
@@ -29,9 +29,7 @@ def walk(tmp_path: Path) -> Path:
     return tmp_path / "walk.txt"
 
 
-def done(
-    walk: Path, folder: Path, error: CalibrationError | None, seed: int = 3
-) -> dict[str, float]:
+def done(walk: Path, folder: Path, error: Miscalibration | None, seed: int = 3) -> dict[str, float]:
     """The metrics of a run of 1.5 s that starts from a calibration with this error."""
     spec = Features(
         features=walk, n_features=60, pixel_sigma=0.3, duration_s=1.5, calibration_error=error

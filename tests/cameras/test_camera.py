@@ -156,3 +156,18 @@ def test_impossible_cameras_are_refused(change: dict[str, Any], word: str) -> No
     with pytest.raises(CalibrationError, match=word) as caught:
         Camera.make(**(good | change))
     assert isinstance(caught.value, InputError)
+
+
+def test_a_camera_of_a_matrix_is_that_of_its_numbers() -> None:
+    K = [[458.0, 0.5, 367.0], [0.0, 457.0, 248.0], [0.0, 0.0, 1.0]]
+    distortion = [-0.28, 0.07, 1e-4, 2e-5]
+    made = Camera.from_matrix(K, (752, 480), "radtan", distortion)
+    same = Camera.make((752, 480), (458.0, 457.0), (367.0, 248.0), "radtan", distortion, 0.5)
+    np.testing.assert_array_equal(made.intrinsics, same.intrinsics)
+    np.testing.assert_array_equal(made.distortion, same.distortion)
+    np.testing.assert_array_equal(made.matrix, K)
+    assert (made.width, made.height) == (752, 480)
+    assert Camera.from_matrix(np.array(K), (752, 480)).distortion.size == 0
+    for wrong in (np.eye(4), np.eye(3)[:2], np.array(K).T):
+        with pytest.raises(CalibrationError, match="a camera matrix is"):
+            Camera.from_matrix(wrong, (752, 480))

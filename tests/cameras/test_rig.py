@@ -108,3 +108,17 @@ def test_impossible_rigs_are_refused(change: dict[str, Any], word: str) -> None:
     good = {"T_imu_cam0": T_IMU_CAM0, "T_imu_cam1": T_IMU_CAM0 @ T_CAM0_CAM1}
     with pytest.raises(CalibrationError, match=word):
         StereoRig(CAM0, CAM1, **(good | change))
+
+
+def test_a_rig_of_rounded_lists_has_rotations() -> None:
+    rig = tilted_rig()
+    left, right = (np.round(T, 4) for T in (rig.T_imu_cam0, rig.T_imu_cam1))
+    made = StereoRig.make(*rig.cameras, left.tolist(), right, 0.01)
+    assert made.time_offset_s == 0.01
+    for T, given in ((made.T_imu_cam0, left), (made.T_imu_cam1, right)):
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(T, given, atol=2e-4)
+    right[0, 3] = 7.0  # the rig has its own copy
+    assert made.T_imu_cam1[0, 3] != 7.0
+    with pytest.raises(CalibrationError, match="must be a finite 4x4 matrix"):
+        StereoRig.make(*rig.cameras, np.eye(3), right)

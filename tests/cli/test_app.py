@@ -17,7 +17,7 @@ import pytest
 
 import ovmot
 from ovmot.cli import app as cli
-from ovmot.datasets.pose_files import ns_to_seconds
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.run_writer import RunWriter
 from ovmot.settings import describe_settings
@@ -262,21 +262,17 @@ def test_an_interruption_while_the_command_line_loads() -> None:
     assert (ended.returncode, ended.stderr) == (130, "")
 
 
-@pytest.mark.parametrize(
-    ("command", "module"),
-    [(["run", "-o", "out"], "ovmot.cli.app"), (["doctor"], "ovmot.cli.doctor")],
-)
+@pytest.mark.parametrize("command", [["run", "-o", "out"], ["doctor"]])
 def test_an_interruption_while_the_data_is_listed(
     ovmot_command: Command,
     painted_euroc: Path,
     monkeypatch: pytest.MonkeyPatch,
     command: list[str],
-    module: str,
 ) -> None:
     def stop(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"{module}.open_recording", stop)
+    monkeypatch.setattr("ovmot.open", stop)
     outcome = ovmot_command(*command, painted_euroc)
     assert (outcome.code, outcome.err) == (130, "ovmot: interrupted; nothing was written\n")
 

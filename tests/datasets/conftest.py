@@ -6,6 +6,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from sim_fixtures import assert_same_rig, small_simulation
+from variant_fixtures import four_seasons, tum_vi, uzh_fpv, viode
+
+__all__ = [
+    "assert_same_rig",
+    "four_seasons",
+    "small_simulation",
+    "tum_vi",
+    "uzh_fpv",
+    "viode",
+]
 
 WIDTH, HEIGHT = 32, 24
 FRAME_NS = tuple(1_403_636_580_000_000_555 + 100_000_000 * i for i in range(6))

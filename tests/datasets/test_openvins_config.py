@@ -12,12 +12,12 @@ import pytest
 import yaml
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.datasets.kalibr_writer import write_chain
+from ovmot.datasets.kalibr import write_chain
 from ovmot.datasets.openvins_config import ALWAYS, PLAIN, WORDS, load_run_config
 from ovmot.datasets.pose_files import Trajectory, interpolate_poses, read_tum
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.truth import read_ego_truth
 from ovmot.errors import CalibrationError, InputError
-from ovmot.evaluation.ego_truth import read_ego_truth
 from ovmot.settings import Settings
 from ovmot.types import ImuNoise
 
@@ -243,18 +243,17 @@ def test_euroc_as_it_is_on_real_images(
 
 @pytest.mark.slow
 def test_kaist_on_rendered_images(
-    data_root: Path, ovmot_command: Callable[..., Any], tmp_path: Path
+    simulated_street: Callable[[str], Path], ovmot_command: Callable[..., Any], tmp_path: Path
 ) -> None:
     """The rendered rig's chain, since the real calibration is that of another rig."""
-    folder = data_root / "street_traffic"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is missing")
+    folder = simulated_street("traffic")
     shutil.copytree(FILES / "kaist", tmp_path / "kaist")
     config = tmp_path / "kaist" / "estimator_config.yaml"
     edit(config, "use_mask: true", "use_mask: false")
     write_chain(config.with_name("kalibr_imucam_chain.yaml"), open_sequence(folder).rig)
-    options = ("--config", config, "--no-objects", "--last", 70)
-    outcome = ovmot_command("run", folder, "-o", tmp_path / "out", *options)
+    outcome = ovmot_command(
+        "run", folder, "-o", tmp_path / "out", "--config", config, "--no-objects"
+    )
     assert outcome.code == 0, outcome.err
     assert_follows(tmp_path / "out", folder, moved_m=5.0, atol=0.15)
 

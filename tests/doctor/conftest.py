@@ -9,12 +9,13 @@ import pytest
 import yaml
 
 from ovmot.datasets.euroc.writer import write_asl
-from ovmot.datasets.pose_files import read_stamped_csv
+from ovmot.datasets.text_tables import read_stamped_csv
+from ovmot.datasets.writing import write_rows
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.sim.recording import record
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
-from ovmot.sim.sequence_files import write_rows
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +25,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulation = make_simulation(
         load_scene("empty"), seed=1, path="walk", size=(320, 140), duration_s=5.0
     )
-    for _ in write_asl(root, simulation, seed=1):
+    for _ in write_asl(root, record(simulation, 1)):
         pass
     shutil.rmtree(root / "truth")
     return root

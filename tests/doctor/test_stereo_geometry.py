@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ovmot.cameras.models import LENSES
+from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.cameras.rig import StereoRig
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity
@@ -90,13 +90,13 @@ def test_lens_models_mixed_up(name: str) -> None:
     true_lens = next(n for n in ("radtan", "equidistant") if n != name)
     true = replace(
         fish,
-        cam0=replace(cameras[0], lens=LENSES[true_lens]),
-        cam1=replace(cameras[1], lens=LENSES[true_lens]),
+        cam0=replace(cameras[0], lens=CAMERA_MODELS[true_lens]),
+        cam1=replace(cameras[1], lens=CAMERA_MODELS[true_lens]),
     )
     given = replace(
         true,
-        cam0=replace(true.cam0, lens=LENSES[name]),
-        cam1=replace(true.cam1, lens=LENSES[name]),
+        cam0=replace(true.cam0, lens=CAMERA_MODELS[name]),
+        cam1=replace(true.cam1, lens=CAMERA_MODELS[name]),
     )
     found = wrong_one(matches(true), given)
     assert found.check == "lens model"

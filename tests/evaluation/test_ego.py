@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from ovmot.datasets.pose_files import write_tum
+from ovmot.datasets.truth import EgoTruth, read_ego_truth
 from ovmot.errors import InputError
 from ovmot.evaluation.ego import evaluate_ego, scalars
-from ovmot.evaluation.ego_truth import EgoTruth, read_ego_truth
-from ovmot.evaluation.run_files import EgoRun, read_ego_run
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import EgoRun, read_ego_run
 
 Winding = Callable[[int], FloatArray]
 STEP_NS = 10_000_000

@@ -14,8 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ovmot.datasets.pose_files import write_tum
-from ovmot.evaluate import evaluate_run
-from ovmot.evaluation.ego_truth import read_ego_truth
+from ovmot.datasets.truth import TrueObjects, read_ego_truth
 from ovmot.evaluation.matching import (
     ComparedFrame,
     ObjectCriteria,
@@ -24,12 +23,12 @@ from ovmot.evaluation.matching import (
     tracking_sequence,
 )
 from ovmot.evaluation.object_errors import detection_latency, pair_errors, pull_out_latency
-from ovmot.evaluation.object_files import Tracks
-from ovmot.evaluation.object_truth import TrueObjects
 from ovmot.evaluation.objects import evaluate_objects, object_scalars
 from ovmot.evaluation.tracking import clear_mot
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import Tracks
+from ovmot.run_evaluation import evaluate
 
 TRACK_COLUMNS = (
     "timestamp_ns,track_id,state,x,y,z,vx,vy,vz,yaw,yaw_rate,length,width,height,"
@@ -117,7 +116,7 @@ def test_the_same_figures_as_the_scorer(
     data = data_root / name
     run = noisy_run(data, noise)
     theirs = score.main(data, run)
-    ours = evaluate_run(run, data).scalars()
+    ours = evaluate(run, data).scalars()
     assert ours["ate_yaw_m"] == pytest.approx(theirs["ego"]["ate_m"], abs=1e-3)
     for key, other in (
         ("object_boxes", "gt_boxes"), ("object_recall", "recall"),

@@ -5,23 +5,23 @@ for it, so that the comparison needs neither the data set nor that tool.
 """
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ovmot.evaluation.ego_truth import read_ego_truth
+from ovmot.datasets.truth import ObjectTruth, TrueObjects, read_ego_truth, read_object_truth
 from ovmot.evaluation.matching import (
     ComparedFrame,
     ObjectCriteria,
     compare_frames,
     tracking_sequence,
 )
-from ovmot.evaluation.object_files import Tracks
-from ovmot.evaluation.object_truth import ObjectTruth, TrueObjects, read_object_truth
 from ovmot.evaluation.tracking import TrackingSequence, clear_mot, hota, identity
 from ovmot.geometry.arrays import FloatArray
+from ovmot.outputs.run_reader import Tracks
 
 RECORDED = Path(__file__).parent / "data" / "recorded_tracking.json"
 CRITERIA = ObjectCriteria()
@@ -141,10 +141,13 @@ def test_the_recorded_figures_are_still_those_of_trackeval(
     assert_same_figures(figures_of_trackeval(sequence), figures)
 
 
-@pytest.mark.parametrize("name", ["street_traffic", "street_crossing"])
+@pytest.mark.parametrize("scene", ["traffic", "crossing"])
 @pytest.mark.parametrize("seed", range(3))
-def test_equal_to_trackeval_on_rendered_streets(data_root: Path, name: str, seed: int) -> None:
-    data = data_root / name
+def test_equal_to_trackeval_on_rendered_streets(
+    simulated_street: Callable[[str], Path], scene: str, seed: int
+) -> None:
+    pytest.importorskip("trackeval.metrics")
+    data = simulated_street(scene)
     tracks = tracks_of(objects_of(data), np.random.default_rng(seed))
     sequence = tracking_sequence(compare(data, tracks), CRITERIA.gate_m)
     assert_same_figures(our_figures(sequence), figures_of_trackeval(sequence))

@@ -83,7 +83,7 @@ def test_it_finds_what_opencv_finds(
 def test_the_plain_code_is_the_compiled_code() -> None:
     source, target = picture((0.0, 0.0), 0.0), picture((1.3, -0.6), 0.0)
     pyramids = build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels
-    points = np.random.default_rng(4).uniform([20.0, 80.0], [280.0, 200.0], (20, 2))
+    points = np.random.default_rng(4).uniform([20.0, 80.0], [280.0, 200.0], (10, 2))
     uv, found, photometric_residual = klt_kernel.klt_track(*pyramids, WINDOW, points, points, 3)
     compiled = klt_track_compiled(*pyramids, WINDOW, points, points, 3)
     np.testing.assert_allclose(compiled[0], uv, atol=1e-4)

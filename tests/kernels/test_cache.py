@@ -9,7 +9,8 @@ from pathlib import Path
 import numba
 import pytest
 
-from ovmot.kernels.cache import code_folder, compiled, is_first_use
+import ovmot
+from ovmot.kernels.cache import code_folder, compiled, compiled_sources, is_first_use
 
 SCRIPT = """
 import sys
@@ -25,12 +26,12 @@ KERNEL = (
 )
 
 
-def run(folder: Path, cache: Path) -> str:
+def run(folder: Path, cache: Path, **extra: str) -> str:
     """Hits in the cache and the kernel's value, of a process of its own."""
     source = Path(__file__).parents[1] / "src"
     path = os.pathsep.join([str(folder), str(source)])
     own = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
-    environment = {**os.environ, **own}
+    environment = {**os.environ, **own, **extra}
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True, text=True
     )
@@ -60,6 +61,13 @@ def test_another_source_is_compiled_anew(folder: Path, tmp_path: Path) -> None:
     source.write_text(KERNEL.format("i + i"))
     os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
     assert run(folder, cache) == "0 380"
+
+
+def test_code_of_another_processor_is_not_taken(folder: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert run(folder, cache, NUMBA_CPU_NAME="nehalem") == "0 2470"
+    assert run(folder, cache, NUMBA_CPU_NAME="generic") == "0 2470"
+    assert run(folder, cache, NUMBA_CPU_NAME="generic") == "1 2470"
 
 
 def test_processes_may_fill_it_at_once(folder: Path, tmp_path: Path) -> None:
@@ -133,3 +141,11 @@ def test_the_first_use_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not is_first_use(package)
     source.write_text(KERNEL.format("i * i"))  # another version
     assert is_first_use(package)
+
+
+def test_the_key_covers_what_a_kernel_calls() -> None:
+    source = Path(ovmot.__file__).parent / "segmentation/history_kernel.py"
+    names = {path.name for path in compiled_sources(source)}
+    assert names == {"history_kernel.py", "cache.py", "small_matrices.py", "stereo.py"}
+    alone = Path(ovmot.__file__).parent / "objects/components_kernel.py"
+    assert {path.name for path in compiled_sources(alone)} == {"components_kernel.py", "cache.py"}

@@ -11,10 +11,12 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.clustering import MotionHistory, group_points, motion_history
 from ovmot.objects.rigid_motion import best_row, extract_motions
-from ovmot.settings import ObjectSettings
-from ovmot.types import PoseWindow, ScenePoints
+from ovmot.segmentation.stereo_history import stereo_history
+from ovmot.settings import ObjectSettings, SegmentationSettings
+from ovmot.types import PixelNoise, PoseWindow, ScenePoints
 
-TOLD = ObjectSettings(drift_per_frame_px=0.0, drift_per_flow=0.0)
+TOLD = ObjectSettings()
+NOISE = PixelNoise(0.3, 0.0, 0.0)
 Scene = tuple[FeatureTable, ScenePoints, PoseWindow]
 Bodies = list[tuple[float, float, tuple[float, float, float], int]]
 
@@ -36,7 +38,11 @@ def history_of(
             for ahead, left, v, n in bodies
         ]
         table, points, window = scene_of(rig, T, np.concatenate(parts, axis=1), 0.3, rng)
-        return motion_history(table, points, window, rig, TOLD, TOLD.pixel_sigma)
+        history = stereo_history(
+            table, points.feature_id, window.timestamp_ns, rig,
+            SegmentationSettings().look_back_s, NOISE,
+        )  # fmt: skip
+        return motion_history(history.younger(1.0), points, window, rig, TOLD, 60.0)
 
     return make
 

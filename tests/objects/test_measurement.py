@@ -11,14 +11,24 @@ from ovmot.feature_table import FeatureTable
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
-from ovmot.settings import ObjectSettings
-from ovmot.types import PointLabel, PoseWindow, ScenePoints
+from ovmot.segmentation.stereo_history import StereoHistory, stereo_history
+from ovmot.settings import ObjectSettings, SegmentationSettings
+from ovmot.types import PixelNoise, PointLabel, PoseWindow, ScenePoints
 
 Found = tuple[ObjectMeasurement, ...]
 Scene = tuple[FeatureTable, ScenePoints, PoseWindow]
 SIGMA = 0.3
 FRAMES = 12
-CALM = ObjectSettings(accel_sigma_mps2=0.0, drift_per_frame_px=0.0, drift_per_flow=0.0)
+CALM = ObjectSettings(accel_sigma_mps2=0.0)
+NOISE = PixelNoise(SIGMA, 0.0, 0.0)
+
+
+def history_of(
+    table: FeatureTable, points: ScenePoints, window: PoseWindow, rig: StereoRig
+) -> StereoHistory:
+    spans = SegmentationSettings().look_back_s
+    history = stereo_history(table, points.feature_id, window.timestamp_ns, rig, spans, NOISE)
+    return history.younger(1.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +52,9 @@ def seen(
         table, points, window = scene_of(rig, T, np.concatenate(parts, axis=1), SIGMA, rng)
         points = replace(points, label=np.full_like(points.label, int(label)))
         return measure_objects(
-            table, points, window, rig, settings, settings.pixel_sigma, np.random.default_rng(1)
-        )
+            history_of(table, points, window, rig), points, window, rig, settings, 60.0,
+            np.random.default_rng(1),
+        )  # fmt: skip
 
     return measured
 
@@ -166,8 +177,9 @@ def test_uncertain_poses_widen_the_velocity(
     table, points, window = scene_of(rig, T, p, SIGMA, rng)
     sure, unsure = (
         measure_objects(
-            table, points, replace(window, covariance=window.covariance * scale), rig, CALM,
-            CALM.pixel_sigma, np.random.default_rng(1),
+            history_of(table, points, window, rig), points,
+            replace(window, covariance=window.covariance * scale), rig, CALM, 60.0,
+            np.random.default_rng(1),
         )[0]
         for scale in (1e-6, 1e2)
     )  # fmt: skip

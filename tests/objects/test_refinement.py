@@ -11,8 +11,10 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.objects.refinement import BodyViews, refine_bodies
 from ovmot.settings import ObjectSettings
+from ovmot.types import PixelNoise
 
-TOLD = ObjectSettings(drift_per_frame_px=0.0, drift_per_flow=0.0, pixel_sigma=0.3)
+PRIOR = ObjectSettings()
+NOISE = PixelNoise(0.3, 0.0, 0.0)
 TURN = np.ones(2, dtype=np.bool_)
 TWIST = np.array([[0.0, 0.0, 0.2, 4.0, -1.0, 0.1], [0.02, -0.01, -0.3, -8.0, 0.5, 0.0]])
 
@@ -50,11 +52,11 @@ def views(
 def test_without_noise_the_motion_and_the_points_are_exact(
     rig: StereoRig, views: Callable[..., BodyViews]
 ) -> None:
-    told = TOLD.model_copy(update={"yaw_rate_sigma_rps": 1e4, "tilt_rate_sigma_rps": 1e4})
+    prior = PRIOR.model_copy(update={"yaw_rate_sigma_rps": 1e4, "tilt_rate_sigma_rps": 1e4})
     given = views(0.0, 2)
     start = TWIST + np.array([0.0, 0.0, 0.1, 0.5, -0.5, 0.2])
     p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, start, p_cam0 * 1.02, TURN, rig, told, told.pixel_sigma)
+    refined = refine_bodies(given, start, p_cam0 * 1.02, TURN, rig, prior, NOISE)
     np.testing.assert_allclose(refined.twist, TWIST, atol=1e-4)
     p_world = se3.apply(given.T_world_cam0[-1, 0], p_cam0)
     np.testing.assert_allclose(refined.p_world, p_world, atol=1e-4)
@@ -68,8 +70,8 @@ def test_refined_velocities_beat_stereo_alone_and_know_their_errors(
     for seed in range(40):
         given = views(0.3, 10 + seed)
         p = triangulate_stereo(given.seen, rig.T_cam1_cam0)
-        told = TOLD.model_copy(update={"yaw_rate_sigma_rps": 5.0, "tilt_rate_sigma_rps": 5.0})
-        refined = refine_bodies(given, TWIST, p[-1], TURN, rig, told, told.pixel_sigma)
+        prior = PRIOR.model_copy(update={"yaw_rate_sigma_rps": 5.0, "tilt_rate_sigma_rps": 5.0})
+        refined = refine_bodies(given, TWIST, p[-1], TURN, rig, prior, NOISE)
         e = refined.twist[:, 3:] - TWIST[:, 3:]
         errors.append(np.linalg.norm(e, axis=1))
         nees.append(np.einsum("bi,bij,bj->b", e, np.linalg.inv(refined.covariance[:, 3:, 3:]), e))
@@ -89,12 +91,10 @@ def test_bodies_that_may_not_turn_keep_to_the_translation(
     given = views(0.3, 6)
     start = np.concatenate([np.zeros((2, 3)), TWIST[:, 3:]], axis=1)
     p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(
-        given, start, p_cam0, np.array([True, False]), rig, TOLD, TOLD.pixel_sigma
-    )
+    refined = refine_bodies(given, start, p_cam0, np.array([True, False]), rig, PRIOR, NOISE)
     sigma = np.sqrt(refined.covariance[:, 2, 2])
     assert abs(refined.twist[0, 2] - TWIST[0, 2]) < 0.15
-    assert sigma[1] < TOLD.tilt_rate_sigma_rps
+    assert sigma[1] < PRIOR.tilt_rate_sigma_rps
     assert abs(refined.twist[1, 2]) < 0.7 * abs(TWIST[1, 2])
 
 
@@ -102,7 +102,7 @@ def test_a_wrong_match_is_left_out(rig: StereoRig, views: Callable[..., BodyView
     given = views(0.3, 3)
     given.seen[0, 4] += np.array([0.05, 0.02, 0.05, 0.02])
     p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, TWIST, p_cam0, TURN, rig, TOLD, TOLD.pixel_sigma)
+    refined = refine_bodies(given, TWIST, p_cam0, TURN, rig, PRIOR, NOISE)
     assert not refined.inlier[4]
     assert refined.inlier.sum() >= 18
     assert np.linalg.norm(refined.twist[0, 3:] - TWIST[0, 3:]) < 0.6

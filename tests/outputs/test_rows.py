@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError, OvmotError
-from ovmot.outputs.rows import RowFile, format_rows, format_seconds
+from ovmot.outputs.rows import RowFile, format_rows
 
 
 @pytest.mark.parametrize(
@@ -20,7 +21,7 @@ from ovmot.outputs.rows import RowFile, format_rows, format_seconds
     ],
 )
 def test_seconds_are_exact(timestamp_ns: int, text: str) -> None:
-    assert format_seconds(timestamp_ns) == text
+    assert ns_to_seconds(timestamp_ns) == text
 
 
 def test_nan_becomes_an_empty_field() -> None:

@@ -20,13 +20,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.datasets.registry import open_sequence
-from ovmot.evaluate import evaluate_run
+from ovmot.ros.bag_output import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.messages import OBJECTS, ODOMETRY
-from ovmot.ros.sequence_bag import IMU, LEFT, RIGHT, write_sequence_bag
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
+from ovmot.run_evaluation import evaluate
 from ovmot.settings import Settings
+from ovmot.sim.recording import record
+from ovmot.sim.scene_file import load_scene
+from ovmot.sim.scenes import make_simulation
 from ovmot.types import ImuData
 
 RATE = float(os.environ.get("OVMOT_ROS_RATE", "1.0"))
@@ -120,17 +124,21 @@ class Ros:
 
 @pytest.fixture
 def ros(tmp_path: Path) -> Iterator[Ros]:
-    pytest.importorskip("rospy")
-    if shutil.which("roscore") is None or shutil.which("rosbag") is None:
-        pytest.skip("no roscore or rosbag: install Debian's ROS packages (docs/ros.md)")
+    for command in ("roscore", "rosbag", "rostopic"):
+        assert shutil.which(command), f"no {command}: install Debian's ROS packages (docs/ros.md)"
     master = Ros(tmp_path)
     yield master
     master.close()
 
 
 @pytest.fixture(scope="module")
-def street(data_root: Path) -> Path:
-    return data_root / "street_traffic"
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """20 s of traffic at 10 Hz in pictures of 640x280, as a KAIST folder."""
+    folder = tmp_path_factory.mktemp("street") / "traffic"
+    simulation = make_simulation(load_scene("traffic"), seed=0, size=(640, 280), duration_s=20.0)
+    for _ in write_kaist(folder, record(simulation, 0)):
+        pass
+    return folder
 
 
 def offline(sequence: Any, out: Path) -> None:
@@ -203,7 +211,7 @@ def write_run(out: Path, odometry: list[Any], objects: list[Any]) -> None:
 
 def check(live: Path, reference: Path, truth: Path, words: str, what: str) -> None:
     """ATE within 20 %, recall within 0.05."""
-    got, wanted = (evaluate_run(run, truth).scalars() for run in (live, reference))
+    got, wanted = (evaluate(run, truth).scalars() for run in (live, reference))
     print(f"\n{what}: rate {RATE}, load {os.getloadavg()[0]:.1f}")
     print({key: (got[key], wanted[key]) for key in (ATE, RECALL)})
     print(words)

@@ -10,7 +10,7 @@ import yaml
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets import open_recording
 from ovmot.datasets.stream import events
-from ovmot.ros.sequence_bag import write_sequence_bag
+from ovmot.ros.bag_output import write_sequence_bag
 from ovmot.run import RunOptions, run_sequence
 from ovmot.settings import Settings
 from ovmot.types import ImuSample, StereoFrame

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets import open_sequence
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.stream import events
 from ovmot.ros import messages
 from ovmot.ros.inputs import input_topics
@@ -98,7 +98,7 @@ def test_what_ends_the_thread_is_raised_by_the_next_look(
 
 
 def test_live_settings_have_the_topics_that_a_sequence_bag_has() -> None:
-    from ovmot.ros.sequence_bag import IMU, LEFT, RIGHT
+    from ovmot.ros.bag_output import IMU, LEFT, RIGHT
 
     live = LiveSettings()
     assert (live.left, live.right, live.imu) == (LEFT, RIGHT, IMU)

@@ -10,24 +10,23 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
 from ovmot.segmentation.history_kernel import (
-    displace,
-    displace_compiled,
+    distance_from_static,
+    distance_from_static_compiled,
     fit_velocities,
     fit_velocities_compiled,
+    triangulate_pairs,
+    triangulate_pairs_compiled,
     weigh,
     weigh_compiled,
 )
-from ovmot.segmentation.stereo_history import (
-    Comparison,
-    PatchDrift,
-    StereoHistory,
-    compare,
-)
-from ovmot.types import PoseWindow
+from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
+from ovmot.segmentation.stereo_history import StereoHistory, history_of
+from ovmot.types import PixelNoise, PoseWindow
 
-SIGMA_PX, SLIDE = 0.3, PatchDrift(0.4, 0.02)
+SIGMA_PX = 0.3
+NOISE = PixelNoise(SIGMA_PX, 0.2, 0.02)
 ROWS = np.array([0, 2, 5])
-Case = tuple[StereoHistory, PoseWindow, Comparison]
+Case = tuple[StereoHistory, PoseWindow, StaticComparison]
 
 
 @pytest.fixture
@@ -47,13 +46,16 @@ def case(
     m[-1, 5] = np.nan
     L = 0.01 * rng.normal(0.0, 1.0, (48, 48))
     window = window_of(T, L @ L.T)
-    history = StereoHistory(m[ROWS], m[-1], ROWS, 0.1 * (7.0 - ROWS))
-    return history, window, compare(history, window, rig, SIGMA_PX, SLIDE)
+    history = history_of(
+        m[ROWS], m[-1], np.arange(30), ROWS, window.timestamp_ns[ROWS], 0.1 * (7.0 - ROWS),
+        7 - ROWS, rig, NOISE,
+    )  # fmt: skip
+    return history, window, compare_with_static(history, window, rig)
 
 
 def ego_covariance(history: StereoHistory, window: PoseWindow, rig: StereoRig) -> FloatArray:
-    """What two poses' errors, rotation on the right and position, do to the carried points."""
-    T_now, T_then = window.T_world_imu[-1], window.T_world_imu[history.clone_index]
+    """What two poses' errors, rotation on the right and position, do to the predicted points."""
+    T_now, T_then = window.T_world_imu[-1], window.T_world_imu[history.row]
     p_then = se3.apply(rig.T_imu_cam0, triangulate_stereo(history.then, rig.T_cam1_cam0))
     p_now = se3.apply((se3.inverse(T_now) @ T_then)[:, None], p_then)
     R_now_T = T_now[:3, :3].T
@@ -61,7 +63,7 @@ def ego_covariance(history: StereoHistory, window: PoseWindow, rig: StereoRig) -
     J[..., 0:3], J[..., 3:6], J[..., 9:12] = so3.hat(p_now), -R_now_T, R_now_T
     J[..., 6:9] = -(R_now_T @ T_then[:, None, :3, :3]) @ so3.hat(p_then)
     J = rig.T_imu_cam0[:3, :3].T @ J
-    index = [np.r_[42:48, 6 * k : 6 * k + 6] for k in history.clone_index]
+    index = [np.r_[42:48, 6 * k : 6 * k + 6] for k in history.row]
     P = np.stack([window.covariance[np.ix_(i, i)] for i in index])
     return np.asarray(J @ P[:, None] @ np.swapaxes(J, -1, -2))
 
@@ -71,7 +73,7 @@ def test_the_comparison_equals_its_twin(rig: StereoRig, case: Case) -> None:
     sigma, T10 = rig.normalized_sigma(SIGMA_PX), rig.T_cam1_cam0
     p_then = triangulate_stereo(history.then, T10)
     T = window.T_world_imu @ rig.T_imu_cam0
-    T_now_then = (se3.inverse(T[-1]) @ T[history.clone_index])[:, None]
+    T_now_then = (se3.inverse(T[-1]) @ T[history.row])[:, None]
     p_now = triangulate_stereo(history.now, T10)
     there = np.isfinite(p_now[None, :, :1])
     predicted = np.where(there, se3.apply(T_now_then, p_then), np.nan)
@@ -79,7 +81,8 @@ def test_the_comparison_equals_its_twin(rig: StereoRig, case: Case) -> None:
     C = R @ stereo_covariance(p_then, T10, sigma) @ np.swapaxes(R, -1, -2)
     C = C + ego_covariance(history, window, rig)
     flow = np.linalg.norm((history.now - history.then)[..., :2], axis=-1)
-    drifted = (SLIDE.px / rig.cam0.fx) ** 2 + (SLIDE.per_flow * flow) ** 2
+    by_frame = NOISE.drift_per_frame_px**2 * (7.0 - ROWS) / rig.cam0.fx**2
+    drifted = by_frame[:, None] + (NOISE.drift_per_flow * flow) ** 2
     noise = np.diag(sigma**2) + drifted[..., None, None] * np.eye(4)
     h, J = project_stereo(predicted, T10)
     J_now = project_stereo(p_now, T10)[1]
@@ -135,19 +138,32 @@ def test_weights_are_inverse_covariances(
     assert not weight[~c.tested].any() and not information[~c.tested].any()
 
 
-@pytest.mark.parametrize("displaced", [displace, displace_compiled])
-def test_displacements_are_of_the_oldest_row(
-    rig: StereoRig, case: Case, displaced: Callable[..., FloatArray]
+@pytest.mark.parametrize("distance", [distance_from_static, distance_from_static_compiled])
+def test_the_quick_distance_is_that_of_the_oldest_row(
+    rig: StereoRig, case: Case, distance: Callable[..., FloatArray]
 ) -> None:
     history, window, _ = case
-    sigma, T10 = rig.normalized_sigma(SIGMA_PX), np.ascontiguousarray(rig.T_cam1_cam0)
+    sigma, T10 = rig.normalized_sigma(SIGMA_PX), rig.T_cam1_cam0
     T = window.T_world_imu @ rig.T_imu_cam0
-    T_now_then = se3.inverse(T[-1]) @ T[history.clone_index]
+    T_now_then = se3.inverse(T[-1]) @ T[history.row]
     p_now = triangulate_stereo(history.now, T10)
-    carried = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, T10))
+    predicted = se3.apply(T_now_then[:, None], triangulate_stereo(history.then, T10))
     variance = 2.0 * np.diagonal(stereo_covariance(p_now, T10, sigma), axis1=1, axis2=2)
-    squared = ((carried - p_now) ** 2 / variance).sum(-1)
+    squared = ((predicted - p_now) ** 2 / variance).sum(-1)
     oldest = np.where(np.isfinite(squared[0]), squared[0], squared[1])
-    found = displaced(history.then, p_now, T_now_then, T10, sigma)
+    found = distance(history.p_then, history.p_now, history.cov_now, T_now_then)
     np.testing.assert_allclose(found, np.nan_to_num(oldest), rtol=1e-8)
     assert found[3] > 0.0 and found[5] == 0.0
+
+
+@pytest.mark.parametrize("pairs", [triangulate_pairs, triangulate_pairs_compiled])
+def test_pairs_are_triangulated_as_by_the_twin(
+    rig: StereoRig, case: Case, pairs: Callable[..., tuple[FloatArray, FloatArray]]
+) -> None:
+    uv, T10 = case[0].now, np.ascontiguousarray(rig.T_cam1_cam0)
+    sigma = rig.normalized_sigma(SIGMA_PX)
+    p, C = pairs(uv, T10, sigma)
+    twin = triangulate_stereo(uv, T10)
+    np.testing.assert_allclose(p, twin, rtol=1e-12)
+    np.testing.assert_allclose(C, stereo_covariance(twin, T10, sigma), rtol=1e-9, atol=1e-15)
+    assert np.isnan(p[5]).all() and np.isfinite(p[0]).all()

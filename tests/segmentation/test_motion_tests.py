@@ -9,23 +9,24 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
 from ovmot.segmentation.motion_tests import (
     Evidence,
     Verdict,
     covariance_test,
-    examine_rest,
+    examine_static,
     fixed_test,
 )
-from ovmot.segmentation.stereo_history import PatchDrift, StereoHistory, compare
+from ovmot.segmentation.static_comparison import compare_with_static
+from ovmot.segmentation.stereo_history import history_of
 from ovmot.settings import SegmentationSettings
-from ovmot.types import PoseWindow
+from ovmot.types import PixelNoise, PoseWindow
 
 SETTINGS = SegmentationSettings(
-    test="covariance", false_alarm=1e-4, forgiven_speed_mps=0.15, pixel_sigma=0.4,
-    drift_per_flow=0.0, distance_threshold_m=0.25, reprojection_threshold_px=3.0,
+    test="covariance", false_alarm=1e-4, forgiven_speed_mps=0.15,
+    distance_threshold_m=0.25, reprojection_threshold_px=3.0,
     combine="any",
 )  # fmt: skip
+NOISE = PixelNoise(0.4, 0.0, 0.0)
 ROWS = (1, 11, 15, 18, 20)  # of 22 frames at 10 Hz: 2.0, 1.0, 0.6, 0.3 and 0.1 s ago
 N_FRAMES = 22
 Measured = Callable[..., Evidence]
@@ -51,21 +52,19 @@ def evidence_of(
         age = 0.1 * np.arange(N_FRAMES - 1, -1, -1.0)
         v = np.broadcast_to(velocity, p_cam.shape)
         p = se3.apply(T_world_cam, p_cam[None] - age[:, None, None] * v)
-        m = measure(rig, T, p, SETTINGS.pixel_sigma, np.random.default_rng(seed))
+        m = measure(rig, T, p, NOISE.sigma_px, np.random.default_rng(seed))
         wrong(m)
         index = np.array(rows)
-        told = T.copy()
-        told[:, 1, 3] -= drift_mps * age
-        comparison = compare(
-            StereoHistory(m[index], m[-1], index, age[index]),
-            window_of(told), rig, SETTINGS.pixel_sigma, PatchDrift(0.0, 0.0),
+        drifting = T.copy()
+        drifting[:, 1, 3] -= drift_mps * age
+        window = window_of(drifting)
+        history = history_of(
+            m[index], m[-1], np.arange(len(p_cam)), index, window.timestamp_ns[index], age[index],
+            N_FRAMES - 1 - index, rig, NOISE,
         )  # fmt: skip
-        p_now = triangulate_stereo(m[-1], rig.T_cam1_cam0)
-        sigma = rig.normalized_sigma(SETTINGS.pixel_sigma)
         zero = np.zeros(len(p_cam))
-        return Evidence(
-            comparison, p_now, stereo_covariance(p_now, rig.T_cam1_cam0, sigma), zero, zero
-        )
+        comparison = compare_with_static(history, window, rig)
+        return Evidence(comparison, history.p_now, history.cov_now, zero, zero)
 
     return make
 
@@ -120,7 +119,7 @@ def test_a_body_at_15_m_is_found(
 
 def test_the_velocity_is_the_body_s(evidence_of: Measured) -> None:
     velocity = np.array([2.0, -0.5, 0.0])
-    rest = examine_rest(evidence_of(car(0.0, 12.0, 300), velocity).comparison, SETTINGS)
+    rest = examine_static(evidence_of(car(0.0, 12.0, 300), velocity).comparison, SETTINGS)
     error = rest.velocity - velocity
     assert rest.explained.mean() > 0.99
     np.testing.assert_allclose(error.mean(0), 0.0, atol=0.05)

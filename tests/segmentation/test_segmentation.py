@@ -1,4 +1,4 @@
-"""The split of a frame, through the track table, as the pipeline calls it."""
+"""Segmentation of a frame, through the feature table, as the odometry calls it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,16 +11,18 @@ from ovmot.feature_table import FeatureTable, append_frame, empty_table
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray
 from ovmot.segmentation.segmentation import Segmentation, segment_points
+from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.settings import SegmentationSettings
-from ovmot.types import FrontendFrame, PointLabel, PoseWindow
+from ovmot.types import FrontendFrame, PixelNoise, PointLabel, PoseWindow
 
 STATIC, DYNAMIC, UNKNOWN = int(PointLabel.STATIC), int(PointLabel.DYNAMIC), int(PointLabel.UNKNOWN)
 SETTINGS = SegmentationSettings(
     enabled=True, candidates="tracked", test="covariance", max_range_m=60.0, false_alarm=1e-4,
-    forgiven_speed_mps=0.15, pixel_sigma=0.4, drift_per_flow=0.0,
+    forgiven_speed_mps=0.15,
     distance_threshold_m=0.25,
     depth_weight=0.3, reprojection_threshold_px=3.0, combine="any",
 )  # fmt: skip
+NOISE = PixelNoise(0.4, 0.0, 0.0)
 N_CAR, N_REST = 6, 60
 Make = Callable[..., FloatArray]
 
@@ -38,8 +40,12 @@ class Recording:
     window: PoseWindow
     rig: StereoRig
 
-    def split(self, settings: SegmentationSettings = SETTINGS) -> Segmentation:
-        return segment_points(self.table, self.seen, self.window, self.rig, settings)
+    def segmented(self, settings: SegmentationSettings = SETTINGS) -> Segmentation:
+        history = stereo_history(
+            self.table, self.seen.feature_id, self.window.timestamp_ns, self.rig,
+            settings.look_back_s, NOISE,
+        )  # fmt: skip
+        return segment_points(self.table, history, self.seen, self.window, self.rig, settings)
 
     def with_verdict(self, inlier: BoolArray) -> "Recording":
         return replace(self, seen=replace(self.seen, two_view_inlier=inlier))
@@ -99,7 +105,7 @@ def world(
 
 
 def test_the_moving_body_is_dynamic_and_the_rest_static(world: Callable[..., Recording]) -> None:
-    split = world().split()
+    split = world().segmented()
     label = in_order(split)
     assert label[:N_CAR].tolist() == [DYNAMIC] * N_CAR
     assert (label[N_CAR:] == STATIC).mean() > 0.97
@@ -113,7 +119,7 @@ def test_the_moving_body_is_dynamic_and_the_rest_static(world: Callable[..., Rec
 def test_the_rows_say_what_was_compared(world: Callable[..., Recording], rig: StereoRig) -> None:
     """Exact pixels: the prediction of a resting point is where it is, previous where it was."""
     recording = world(sigma_px=0.0)
-    split = recording.split()
+    split = recording.segmented()
     points, order = split.points, np.argsort(split.points.feature_id)
     rest = order[N_CAR:]
     np.testing.assert_allclose(points.predicted[rest], points.pixels[rest, :2], atol=1e-6)
@@ -135,8 +141,8 @@ def test_the_rows_say_what_was_compared(world: Callable[..., Recording], rig: St
 
 def test_depth_is_weighted_down(world: Callable[..., Recording]) -> None:
     recording = world()
-    whole = recording.split(changed(depth_weight=1.0)).points.distance_m
-    light = recording.split(changed(depth_weight=0.0)).points.distance_m
+    whole = recording.segmented(changed(depth_weight=1.0)).points.distance_m
+    light = recording.segmented(changed(depth_weight=0.0)).points.distance_m
     assert (light <= whole).all()
     assert np.median(light) < 0.5 * np.median(whole)
 
@@ -146,7 +152,7 @@ def test_fixed_thresholds_and_their_combination(world: Callable[..., Recording])
     recording = world(sigma_px=0.01)
 
     def found(**settings: object) -> int:
-        label = in_order(recording.split(changed(test="fixed", **settings)))
+        label = in_order(recording.segmented(changed(test="fixed", **settings)))
         assert (label[N_CAR:] == STATIC).all()
         return int((label[:N_CAR] == DYNAMIC).sum())
 
@@ -166,10 +172,12 @@ def test_among_ransac_candidates_what_the_two_view_test_accepted_is_static(
     recording = world(sigma_px=0.1)
     inlier = np.isin(recording.seen.feature_id, (100, 101, 102))  # half of the body
     inlier |= recording.seen.feature_id >= 100 + N_CAR
-    label = in_order(recording.with_verdict(inlier).split(changed(test=test, candidates="ransac")))
+    label = in_order(
+        recording.with_verdict(inlier).segmented(changed(test=test, candidates="ransac"))
+    )
     assert label[:3].tolist() == [STATIC] * 3
     assert label[3:N_CAR].tolist() == [DYNAMIC] * 3
-    tracked = in_order(recording.with_verdict(inlier).split(changed(test=test)))
+    tracked = in_order(recording.with_verdict(inlier).segmented(changed(test=test)))
     assert tracked[:N_CAR].tolist() == [DYNAMIC] * N_CAR
 
 
@@ -177,14 +185,14 @@ def test_a_point_at_rest_is_static_though_the_two_view_test_rejected_it(
     world: Callable[..., Recording],
 ) -> None:
     recording = world(sigma_px=0.1).with_verdict(np.zeros(N_CAR + N_REST, dtype=np.bool_))
-    split = recording.split()
+    split = recording.segmented()
     assert (in_order(split)[N_CAR:] == STATIC).all()
     assert not in_order(split, split.outlier)[N_CAR:].any()
     assert not split.points.two_view_inlier.any()
 
 
 def test_far_points_are_not_judged(world: Callable[..., Recording]) -> None:
-    label = in_order(world().split(changed(max_range_m=15.0)))
+    label = in_order(world().segmented(changed(max_range_m=15.0)))
     assert (label[:N_CAR] == DYNAMIC).all()
     assert (label[N_CAR:] == UNKNOWN).all()
 
@@ -197,7 +205,10 @@ def test_points_seen_by_one_camera_are_unknown_and_suspect_only_if_rejected(
     normalized = np.where(mono[:, None] & (np.arange(4) >= 2), np.nan, recording.seen.normalized)
     inlier = recording.seen.feature_id < 100 + N_CAR + 45
     seen = replace(recording.seen, normalized=normalized, two_view_inlier=inlier)
-    split = replace(recording, seen=seen).split()
+    in_table = recording.table.normalized.copy()
+    in_table[-1, recording.table.columns(seen.feature_id)] = normalized
+    table = replace(recording.table, normalized=in_table)
+    split = replace(recording, seen=seen, table=table).segmented()
     label, outlier = in_order(split), in_order(split, split.outlier)
     assert (label[N_CAR + 30 :] == UNKNOWN).all()
     assert not outlier[N_CAR + 30 : N_CAR + 45].any()
@@ -208,8 +219,8 @@ def test_points_seen_by_one_camera_are_unknown_and_suspect_only_if_rejected(
 def test_slow_motion_needs_the_long_look_back(world: Callable[..., Recording]) -> None:
     """0.25 m/s is 0.8 px after 0.1 s: only the seconds before tell it from noise."""
     settings = changed(forgiven_speed_mps=0.02)
-    long = in_order(world(speed=0.25, n_frames=23).split(settings))
-    short = in_order(world(speed=0.25, n_frames=2).split(settings))
+    long = in_order(world(speed=0.25, n_frames=23).segmented(settings))
+    short = in_order(world(speed=0.25, n_frames=2).segmented(settings))
     assert (long[:N_CAR] == DYNAMIC).all()
     assert (short[:N_CAR] == STATIC).all()
 
@@ -227,7 +238,7 @@ def test_at_a_standstill_frames_share_a_clone(world: Callable[..., Recording]) -
 
 
 def _moves_alone(recording: Recording) -> bool:
-    label = in_order(recording.split())
+    label = in_order(recording.segmented())
     return bool((label[:N_CAR] == DYNAMIC).all() and (label[N_CAR:] == STATIC).mean() > 0.95)
 
 
@@ -237,19 +248,19 @@ def test_rows_whose_pose_has_left_are_not_compared(world: Callable[..., Recordin
     newest = PoseWindow(
         window.timestamp_ns[-1:], window.T_world_imu[-1:], window.covariance[-6:, -6:]
     )
-    split = replace(recording, window=newest).split()
+    split = replace(recording, window=newest).segmented()
     assert (split.points.label == UNKNOWN).all()
     assert not split.outlier.any()
     last_two = PoseWindow(
         window.timestamp_ns[-2:], window.T_world_imu[-2:], window.covariance[-12:, -12:]
     )
-    label = in_order(replace(recording, window=last_two).split())
+    label = in_order(replace(recording, window=last_two).segmented())
     assert (label[N_CAR:] == STATIC).all()
     assert (label[:N_CAR] == DYNAMIC).all()  # one interval is enough for many that go alike
 
 
 def test_the_first_frame_has_nothing_to_compare(world: Callable[..., Recording]) -> None:
-    split = world(n_frames=1).split()
+    split = world(n_frames=1).segmented()
     assert (split.points.label == UNKNOWN).all()
     assert np.isfinite(split.points.p_cam0).all()
     assert np.isfinite(split.points.cov_cam0).all()
@@ -257,7 +268,7 @@ def test_the_first_frame_has_nothing_to_compare(world: Callable[..., Recording])
 
 
 def test_switched_off_everything_is_static(world: Callable[..., Recording]) -> None:
-    split = world().split(changed(enabled=False))
+    split = world().segmented(changed(enabled=False))
     assert (split.points.label == STATIC).all()
     assert not split.outlier.any()
     assert np.isfinite(split.points.p_cam0).all()

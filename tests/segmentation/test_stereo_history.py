@@ -1,4 +1,4 @@
-"""The comparison's covariance, by drawing errors and by finite differences."""
+"""The history of a frame: which times it looks back to, and what it holds of each feature."""
 
 from collections.abc import Callable
 
@@ -6,198 +6,89 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3, so3
+from ovmot.feature_table import FeatureTable, append_frame, empty_table
 from ovmot.geometry.arrays import FloatArray
-from ovmot.segmentation.stereo_history import Comparison, PatchDrift, StereoHistory, compare
-from ovmot.types import PoseWindow
+from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
+from ovmot.segmentation.stereo_history import (
+    StereoHistory,
+    look_back_rows,
+    stereo_history,
+)
+from ovmot.types import FrontendFrame, PixelNoise, PoseWindow
 
-SIGMA_PX = 0.4
-NO_SLIDE = PatchDrift(0.0, 0.0)
-Make = Callable[..., FloatArray]
-Window = Callable[..., PoseWindow]
-
-
-def perturbed(T_world_imu: FloatArray, delta: FloatArray) -> FloatArray:
-    """Poses (K, 4, 4) with errors (6K,): R exp(δθ), p + δp."""
-    d = delta.reshape(-1, 6)
-    return se3.make(T_world_imu[:, :3, :3] @ so3.exp(d[:, :3]), T_world_imu[:, :3, 3] + d[:, 3:])
-
-
-def mahalanobis(comparison: Comparison) -> FloatArray:
-    """Squared distances (L, N) of the residuals."""
-    W = np.linalg.inv(comparison.S)
-    r = comparison.residual
-    return np.asarray(np.einsum("lni,lnij,lnj->ln", r, W, r))
-
-
-def history_of(normalized: FloatArray) -> StereoHistory:
-    """All earlier rows of (K, N, 4) against the last."""
-    k = len(normalized) - 1
-    span_s = np.linspace(0.1 * k, 0.1, k)
-    return StereoHistory(normalized[:-1], normalized[-1], np.arange(k), span_s)
+NOISE = PixelNoise(0.4, 0.15, 0.01)
+SPANS = (1.0, 0.5, 0.2)
+N_FRAMES, N_POINTS = 16, 12
+Recorded = tuple[FeatureTable, PoseWindow, FloatArray]
 
 
 @pytest.fixture
-def pose_covariance() -> FloatArray:
-    """Covariance (36, 36) of six poses, correlated: some 2 mrad and 2 cm."""
-    A = np.random.default_rng(8).normal(size=(36, 36)) / 6.0
-    A *= np.tile([2e-3] * 3 + [0.02] * 3, 6)[:, None]
-    return A @ A.T
+def recorded(
+    rig: StereoRig, drive: Callable[..., FloatArray], measure: Callable[..., FloatArray],
+    in_view: Callable[..., FloatArray], window_of: Callable[..., PoseWindow],
+) -> Recorded:  # fmt: skip
+    """16 frames at 10 Hz of twelve points, ids from 100 on, in another order in each frame."""
+    rng = np.random.default_rng(4)
+    T = drive(N_FRAMES)
+    m = measure(rig, T, in_view(rig, T, N_POINTS, (6.0, 30.0), rng), 0.3, rng)
+    window, table = window_of(T), empty_table()
+    for k, stamp in enumerate(window.timestamp_ns.tolist()):
+        order = np.roll(np.arange(N_POINTS), k)
+        seen = FrontendFrame(
+            stamp, 100 + order, m[k, order], m[k, order], np.full(N_POINTS, k),
+            np.ones(N_POINTS, dtype=np.bool_),
+        )  # fmt: skip
+        table = append_frame(table, seen)
+    return table, window, m
 
 
-def test_exact_points_are_predicted_exactly(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window
+def history_of(recorded: Recorded, rig: StereoRig) -> StereoHistory:
+    table, window, _ = recorded
+    ids = 100 + np.arange(N_POINTS)[::-1]
+    return stereo_history(table, ids, window.timestamp_ns, rig, SPANS, NOISE)
+
+
+def test_it_looks_back_to_the_frames_nearest_to_the_times_and_the_last(
+    recorded: Recorded, rig: StereoRig
 ) -> None:
-    T, rng = drive(6), np.random.default_rng(0)
-    p = in_view(rig, T, 30, (5.0, 40.0), rng)
-    comparison = compare(
-        history_of(measure(rig, T, p, 0.0, rng)), window_of(T), rig, SIGMA_PX, NO_SLIDE
-    )
-    now = se3.apply(se3.inverse(T[-1] @ rig.T_imu_cam0), p)
-    np.testing.assert_allclose(comparison.predicted, np.broadcast_to(now, (5, 30, 3)), atol=1e-8)
-    assert np.abs(comparison.residual).max() < 1e-9
-    assert comparison.tested.all()
+    history = history_of(recorded, rig)
+    assert history.row.tolist() == [5, 10, 13, 14]  # 1.0, 0.5, 0.2 and 0.1 s ago
+    np.testing.assert_allclose(history.span_s, [1.0, 0.5, 0.2, 0.1])
+    assert history.n_frames.tolist() == [10, 5, 2, 1]
+    assert len(history) == 4
 
 
-def test_the_covariance_is_that_of_the_residuals(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window,
-    pose_covariance: FloatArray,
-) -> None:  # fmt: skip
-    """Pixels and poses drawn 300 times: the squared distance has the mean 4 of chi-squared."""
-    T, rng = drive(6), np.random.default_rng(1)
-    drawn = []
-    for _ in range(300):
-        p = in_view(rig, T, 60, (5.0, 25.0), rng)
-        m = measure(rig, T, p, SIGMA_PX, rng)
-        T_estimated = perturbed(T, rng.multivariate_normal(np.zeros(36), pose_covariance))
-        window = window_of(T_estimated, pose_covariance)
-        drawn.append(mahalanobis(compare(history_of(m), window, rig, SIGMA_PX, NO_SLIDE)))
-    per_row = np.mean(drawn, axis=(0, 2))
-    np.testing.assert_allclose(per_row, 4.0, atol=0.4)  # poses are common to a draw's points
-    without = [
-        mahalanobis(compare(history_of(m), window_of(T_estimated, 0.0 * pose_covariance), rig,
-                            SIGMA_PX, NO_SLIDE)).mean()
-    ]  # fmt: skip
-    assert without[0] > 6.0  # the poses' errors matter here
+def test_only_frames_with_a_known_pose_count(recorded: Recorded) -> None:
+    table, window, _ = recorded
+    known = np.delete(window.timestamp_ns, [5, 14])
+    assert look_back_rows(table, known, (1.0, 0.1)).tolist() == [4, 13]  # 1.1 s is near enough
+    assert look_back_rows(table, window.timestamp_ns[-1:], SPANS).tolist() == []
+    assert look_back_rows(table, window.timestamp_ns[12:], (1.0,)).tolist() == [14]
 
 
-def test_pixels_alone_give_four_for_every_depth(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window
+def test_positions_and_covariances_are_those_of_the_pairs(
+    recorded: Recorded, rig: StereoRig
 ) -> None:
-    T, rng = drive(6), np.random.default_rng(2)
-    window = window_of(T, np.zeros((36, 36)))
-    for depth in ((5.0, 8.0), (15.0, 20.0), (25.0, 30.0)):
-        p = in_view(rig, T, 4000, depth, rng)
-        comparison = compare(
-            history_of(measure(rig, T, p, SIGMA_PX, rng)), window, rig, SIGMA_PX, NO_SLIDE
-        )
-        np.testing.assert_allclose(mahalanobis(comparison).mean(1), 4.0, atol=0.25)
+    history, m = history_of(recorded, rig), recorded[2]
+    then = m[history.row][:, ::-1]
+    np.testing.assert_array_equal(history.then, then)
+    p = triangulate_stereo(then, rig.T_cam1_cam0)
+    np.testing.assert_allclose(history.p_then, p, rtol=1e-10)
+    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(NOISE.sigma_px))
+    np.testing.assert_allclose(history.cov_then, C, rtol=1e-7, atol=1e-12)
+    now = triangulate_stereo(m[-1, ::-1], rig.T_cam1_cam0)
+    np.testing.assert_allclose(history.p_now, now, rtol=1e-10)
 
 
-def test_the_ego_motion_s_part_by_finite_differences(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window,
-    pose_covariance: FloatArray, central_differences: Callable[..., FloatArray],
-) -> None:  # fmt: skip
-    """With perfect pixels S = J (∂p/∂δ) P (∂p/∂δ)ᵀ Jᵀ over the errors of all six poses."""
-    T, rng = drive(6), np.random.default_rng(3)
-    p = in_view(rig, T, 7, (5.0, 30.0), rng)
-    history = history_of(measure(rig, T, p, 0.0, rng))
-
-    def predicted(delta: FloatArray) -> FloatArray:
-        return compare(history, window_of(perturbed(T, delta)), rig, 0.0, NO_SLIDE).predicted
-
-    D = central_differences(predicted, np.zeros(36), 1e-5)  # (5, 7, 3, 36)
-    comparison = compare(history, window_of(T, pose_covariance), rig, 0.0, NO_SLIDE)
-    JD = comparison.J @ D
-    expected = JD @ pose_covariance @ np.swapaxes(JD, -1, -2)
-    np.testing.assert_allclose(comparison.S, expected, rtol=1e-5, atol=1e-5 * expected.max())
+def test_some_features_and_younger_frames(recorded: Recorded, rig: StereoRig) -> None:
+    history = history_of(recorded, rig)
+    some = history.only(np.array([3, 1]))
+    assert some.feature_id.tolist() == [108, 110]
+    np.testing.assert_array_equal(some.p_then, history.p_then[:, [3, 1]])
+    np.testing.assert_array_equal(some.cov_now, history.cov_now[[3, 1]])
+    assert history.younger(0.5).row.tolist() == [10, 13, 14]
+    np.testing.assert_array_equal(history.younger(0.5).p_then, history.p_then[1:])
 
 
-def test_j_is_the_derivative_of_the_prediction(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window
-) -> None:
-    """A point that moves by d now leaves the residual J d, to first order."""
-    T, rng = drive(3), np.random.default_rng(4)
-    p = in_view(rig, T, 20, (8.0, 20.0), rng)
-    R_cam_world = (T[-1] @ rig.T_imu_cam0)[:3, :3].T
-    d_cam = np.array([1e-4, -2e-4, 3e-4])
-    moved = np.stack([p, p, p + d_cam @ R_cam_world])
-    comparison = compare(
-        history_of(measure(rig, T, moved, 0.0, rng)), window_of(T), rig, SIGMA_PX, NO_SLIDE
-    )
-    np.testing.assert_allclose(comparison.residual, comparison.J @ d_cam, rtol=2e-3, atol=1e-9)
-
-
-def test_drift_widens_with_the_way_through_the_image(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window
-) -> None:
-    T, rng = drive(3), np.random.default_rng(5)
-    p = in_view(rig, T, 10, (6.0, 20.0), rng)
-    history = history_of(measure(rig, T, p, 0.0, rng))
-    plain = compare(history, window_of(T), rig, SIGMA_PX, NO_SLIDE).S
-    wider = compare(history, window_of(T), rig, SIGMA_PX, PatchDrift(0.0, 0.05)).S
-    flow = np.linalg.norm(history.now[:, :2] - history.then[..., :2], axis=-1)
-    expected = (0.05 * flow[..., None, None]) ** 2 * np.eye(4)
-    np.testing.assert_allclose(wider - plain, expected, atol=1e-12)
-    always = compare(history, window_of(T), rig, SIGMA_PX, PatchDrift(0.3, 0.0)).S
-    np.testing.assert_allclose(
-        always - plain,
-        np.broadcast_to((0.3 / rig.cam0.fx) ** 2 * np.eye(4), plain.shape),
-        atol=1e-12,
-    )
-
-
-def test_a_frame_that_shares_the_newest_pose_has_no_ego_error(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window,
-    pose_covariance: FloatArray,
-) -> None:  # fmt: skip
-    T, rng = drive(6), np.random.default_rng(6)
-    p = in_view(rig, T, 5, (6.0, 20.0), rng)
-    m = measure(rig, T[[-1, -1]], p, 0.0, rng)
-    shared = StereoHistory(m[:1], m[1], np.array([5]), np.array([0.1]))
-    with_ego = compare(shared, window_of(T, pose_covariance), rig, SIGMA_PX, NO_SLIDE)
-    without = compare(shared, window_of(T, 0.0 * pose_covariance), rig, SIGMA_PX, NO_SLIDE)
-    np.testing.assert_allclose(with_ego.S, without.S, rtol=1e-9, atol=1e-15)
-
-
-def test_what_was_not_seen_in_stereo_is_not_tested(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window
-) -> None:
-    T, rng = drive(4), np.random.default_rng(7)
-    m = measure(rig, T, in_view(rig, T, 6, (5.0, 9.0), rng), SIGMA_PX, rng)
-    m[0, 0, 2:] = np.nan  # mono then
-    m[:, 1] = np.nan  # never
-    m[-1, 2, 2:] = np.nan  # mono now
-    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, NO_SLIDE)
-    assert comparison.tested[:, 0].tolist() == [False, True, True]
-    assert not comparison.tested[:, 1:3].any()
-    assert comparison.tested[:, 3:].all()
-
-
-def test_a_point_that_the_camera_passed_is_not_tested(
-    rig: StereoRig, drive: Make, measure: Make, window_of: Window
-) -> None:
-    T, rng = drive(2, speed=60.0), np.random.default_rng(7)  # 6 m between the frames
-    p = se3.apply(T[0] @ rig.T_imu_cam0, np.array([[0.5, 0.0, 4.0], [0.5, 0.0, 40.0]]))
-    m = measure(rig, T, p, 0.0, rng)
-    comparison = compare(history_of(m), window_of(T), rig, SIGMA_PX, NO_SLIDE)
-    assert comparison.tested[0].tolist() == [False, True]
-
-
-def test_the_secant_reaches_any_distance_exactly(
-    rig: StereoRig, drive: Make, measure: Make, in_view: Make, window_of: Window
-) -> None:
-    """J is right for small steps only; a car that went from 8 to 20 m needs the secant."""
-    T, rng = drive(2, speed=0.0), np.random.default_rng(9)
-    p = in_view(rig, T, 20, (8.0, 20.0), rng)
-    T_cam_world = se3.inverse(T[-1] @ rig.T_imu_cam0)
-    step = rng.uniform(-4.0, 8.0, (20, 3)) * [1.0, 0.2, 0.2]
-    comparison = compare(
-        history_of(measure(rig, T, np.stack([p, p + step]), 0.0, rng)),
-        window_of(T), rig, SIGMA_PX, NO_SLIDE,
-    )  # fmt: skip
-    step_cam = se3.apply(T_cam_world, p + step) - comparison.predicted[0]
-    reached = (comparison.J_motion[0] @ step_cam[:, :, None])[..., 0]
-    np.testing.assert_allclose(reached, comparison.residual[0], atol=1e-9)
-    linear = (comparison.J[0] @ step_cam[:, :, None])[..., 0]
-    assert np.abs(linear - comparison.residual[0]).max() > 5.0 / 408.0
+def test_a_random_walk_of_the_patch() -> None:
+    np.testing.assert_allclose(NOISE.drift_sigma_px(np.array([1, 4, 16])), [0.15, 0.3, 0.6])

@@ -10,6 +10,7 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.pose_files import write_tum
 from ovmot.errors import InputError
 from ovmot.frontend.given_features import GivenFeatures
 from ovmot.geometry import se3, so3
@@ -243,8 +244,23 @@ def test_mono_frames_have_no_right_half() -> None:
         assert np.isfinite(seen.frame.pixels[:, :2]).all()
 
 
-def test_the_recorded_walk(data_root: Path) -> None:
-    file = data_root / "sim_paths" / "udel_gore.txt"
+def test_a_recorded_walk(tmp_path: Path) -> None:
+    t = np.arange(0.0, 8.0, 0.05)
+    R = so3.exp(np.stack([0.1 * np.sin(t), 0.3 * np.sin(0.7 * t), 0.2 * np.cos(t)], axis=-1))
+    p = np.stack([1.2 * t, 0.4 * np.sin(t), 0.1 * np.sin(3.0 * t)], axis=-1)
+    write_tum(tmp_path / "walk.txt", np.round(1e9 * t).astype(np.int64), se3.make(R, p))
+    assert_recorded(tmp_path / "walk.txt")
+
+
+def test_a_real_walk(data_root: Path) -> None:
+    recording = data_root / "sim_paths" / "udel_gore.txt"
+    if not recording.exists():
+        pytest.skip(f"{recording} is missing")
+    assert_recorded(recording)
+
+
+def assert_recorded(file: Path) -> None:
+    """Its features are those of 5 s of the recorded path, at 10 Hz."""
     simulation = handheld_simulation(file, FeatureOptions(), duration_s=5.0)
     assert len(simulation.camera_ns) == 51
     truth = FeatureRecording(simulation, 0).truth()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.datasets.pose_files import write_tum
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
@@ -93,6 +94,19 @@ def test_noiseless_samples_integrate_back_to_the_path_at_the_rule_s_order(
 
 @pytest.mark.parametrize(("integrator", "order"), RULES)
 def test_samples_of_a_recorded_path_integrate_back_to_it(
+    tmp_path: Path, integrator: Integrator, order: int
+) -> None:
+    times = ORIGIN - 10**9 + 50_000_000 * np.arange(141)  # 20 Hz
+    poses = walk().pose(times)
+    poses[:, :3, 3] += np.random.default_rng(2).normal(0.0, 0.002, (len(times), 3))
+    write_tum(tmp_path / "walk.txt", times, poses)
+    assert_converges(
+        recorded_path(tmp_path / "walk.txt", ORIGIN, duration_s=5.0), integrator, order
+    )
+
+
+@pytest.mark.parametrize(("integrator", "order"), RULES)
+def test_samples_of_a_real_recording_integrate_back_to_it(
     data_root: Path, integrator: Integrator, order: int
 ) -> None:
     recording = data_root / "sim_paths" / "tum_corridor1_512_16_okvis.txt"

@@ -40,6 +40,6 @@ def test_road_goes_straight_on_beyond_its_ends() -> None:
     road = Road(SmoothSteps.make((0.0, 0.01)), 50.0)
     end, yaw = road.at(np.array(50.0))
     beyond, same = road.at(np.array(60.0))
-    assert same == yaw
+    assert same == pytest.approx(yaw, rel=1e-12)
     np.testing.assert_allclose(beyond - end, 10.0 * np.array([np.cos(yaw), np.sin(yaw)]))
     np.testing.assert_allclose(road.at(np.array(-4.0))[0], [-4.0, 0.0], atol=1e-12)

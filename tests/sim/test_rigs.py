@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
+from ovmot.cameras.rig import rectified, without_distortion
 from ovmot.errors import InputError
 from ovmot.geometry import se3
-from ovmot.sim.rigs import (
-    fisheye_rig,
-    held,
-    looking_along,
-    rectified,
-    resized,
-    street_rig,
-    without_distortion,
-)
+from ovmot.sim.rigs import fisheye_rig, held, looking_along, resized, street_rig
 
 
 def test_a_resized_camera_sees_the_same_rays_at_the_same_places() -> None:

@@ -1,5 +1,6 @@
 """Simulations of scene files: seeds, sizes, ways of moving, and bodies that never touch."""
 
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.sim.render import camera_rays, render_picture
 from ovmot.sim.rides import CAMERA_HEIGHT_M
 from ovmot.sim.scene_file import SCENES, SceneFile, load_scene
@@ -16,63 +17,83 @@ from ovmot.sim.scenes import ORIGIN_NS, make_simulation
 from ovmot.sim.simulation import Simulation
 
 SMALL = (160, 70)
+scene_of = cache(load_scene)
 
 
-def corners(center: FloatArray, yaw: float, size: FloatArray) -> FloatArray:
-    """Four corners (4, 2) of a body's rectangle on the ground."""
+def corners(center: FloatArray, yaw: FloatArray, size: FloatArray) -> FloatArray:
+    """Four corners (..., 4, 2) of a body's rectangle on the ground, of centres (..., 2) or more."""
     c, s = np.cos(yaw), np.sin(yaw)
     half = 0.5 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size[:2]
-    return np.asarray(center[:2] + half @ np.array([[c, s], [-s, c]]))
+    R = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+    return np.asarray(center[..., None, :2] + half @ R)
 
 
-def apart(a: FloatArray, b: FloatArray) -> bool:
-    """Whether two convex outlines (4, 2) have a line between them that is a side of one."""
-    if np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) > 10.0:  # no mover is longer than 8 m
-        return True
+def apart(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Whether two convex outlines (..., 4, 2) have a line between them that is a side of one."""
+    middle = a.mean(axis=-2) - b.mean(axis=-2)
+    clear = np.linalg.norm(middle, axis=-1) > 10.0  # no mover is longer than 8 m
     for p, q in ((a, b), (b, a)):
         for i in range(4):
-            side = p[(i + 1) % 4] - p[i]
-            outward = np.array([-side[1], side[0]])
-            if ((q - p[i]) @ outward).min() > 0.0:
-                return True
-    return False
+            side = p[..., (i + 1) % 4, :] - p[..., i, :]
+            outward = np.stack([-side[..., 1], side[..., 0]], axis=-1)
+            beyond = ((q - p[..., i : i + 1, :]) @ outward[..., None])[..., 0]
+            clear |= beyond.min(axis=-1) > 0.0
+    return np.asarray(clear)
 
 
-def outlines(simulation: Simulation, time_ns: int) -> dict[str, FloatArray]:
-    T = simulation.path.pose(time_ns) @ se3.inverse(simulation.T_vehicle_imu)
-    rig_yaw = float(np.arctan2(T[1, 0], T[0, 0]))
-    found = {"rig": corners(T[:3, 3], rig_yaw, np.array([4.6, 1.9]))}
+def outlines(simulation: Simulation, time_ns: IntArray) -> dict[str, FloatArray]:
+    """Corners (N, 4, 2) of the rig and of every mover at N times."""
+
+    def at(T: FloatArray, size: FloatArray) -> FloatArray:
+        return corners(T[:, :3, 3], np.arctan2(T[:, 1, 0], T[:, 0, 0]), size)
+
+    T_world_vehicle = simulation.path.pose(time_ns) @ se3.inverse(simulation.T_vehicle_imu)
+    found = {"rig": at(T_world_vehicle, np.array([4.6, 1.9]))}
     for mover in simulation.scene.movers:
-        state = mover.state(time_ns)
-        found[f"{mover.category} {mover.object_id}"] = corners(state.center, state.yaw, state.size)
+        found[f"{mover.category} {mover.object_id}"] = at(mover.path.pose(time_ns), mover.size)
     return found
 
 
 def test_outlines_are_told_apart() -> None:
-    square = corners(np.zeros(2), 0.0, np.array([2.0, 2.0]))
+    square = corners(np.zeros(2), np.array(0.0), np.array([2.0, 2.0]))
     assert apart(square, square + np.array([2.1, 0.0]))
     assert not apart(square, square + np.array([1.9, 1.9]))
-    turned = corners(np.array([2.3, 0.0]), 0.25 * np.pi, np.array([2.0, 2.0]))
+    turned = corners(np.array([2.3, 0.0]), np.array(0.25 * np.pi), np.array([2.0, 2.0]))
     assert not apart(square, turned)
     assert apart(square, turned + np.array([0.2, 0.0]))
+    many = np.stack([square + np.array([2.1, 0.0]), square, turned])
+    assert apart(np.stack([square] * 3), many).tolist() == [True, False, False]
+
+
+def test_outlines_are_where_the_movers_say_that_they_are() -> None:
+    simulation = make_simulation(scene_of("traffic"), seed=0)
+    time_ns = ORIGIN_NS + 1_000_000_000 * np.arange(3)
+    found = outlines(simulation, time_ns)
+    for mover in simulation.scene.movers:
+        for k, stamp in enumerate(time_ns.tolist()):
+            state = mover.state(stamp)
+            expected = corners(state.center, np.array(state.yaw), state.size)
+            outline = found[f"{mover.category} {mover.object_id}"][k]
+            np.testing.assert_allclose(outline, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("seed", range(5))
 def test_nothing_ever_touches(name: str, seed: int) -> None:
-    scene = load_scene(name)
+    scene = scene_of(name)
     simulation = make_simulation(scene, seed=seed)
     assert len(simulation.scene.movers) == len(scene.along) + len(scene.across)
-    for time_ns in ORIGIN_NS + 200_000_000 * np.arange(int(5 * scene.duration_s)):
-        for (a, outline), (b, other) in combinations(outlines(simulation, int(time_ns)).items(), 2):
-            assert apart(outline, other), f"{a} and {b} at {1e-9 * (time_ns - ORIGIN_NS):.1f} s"
+    time_ns = ORIGIN_NS + 200_000_000 * np.arange(int(5 * scene.duration_s))
+    for (a, outline), (b, other) in combinations(outlines(simulation, time_ns).items(), 2):
+        touching = time_ns[~apart(outline, other)]
+        assert len(touching) == 0, f"{a} and {b} at {1e-9 * (touching - ORIGIN_NS)} s"
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_seed_repeats_and_two_differ(name: str) -> None:
     def grey(seed: int) -> FloatArray:
         size = (128, 128) if name == "fisheye" else SMALL
-        simulation = make_simulation(load_scene(name), seed=seed, size=size, duration_s=0.1)
+        simulation = make_simulation(scene_of(name), seed=seed, size=size, duration_s=0.1)
         T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
         rays = camera_rays(simulation.rig.cam0)
         picture = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS)
@@ -84,7 +105,7 @@ def test_a_seed_repeats_and_two_differ(name: str) -> None:
 
 
 def test_a_seed_moves_starts_and_speeds_within_the_jitter() -> None:
-    scene = load_scene("traffic")
+    scene = scene_of("traffic")
     plain = make_simulation(scene.model_copy(update={"jitter": scene.jitter.model_copy(
         update={"start_m": 0.0, "speed": 0.0})}), seed=0)  # fmt: skip
     shifts = []
@@ -103,7 +124,7 @@ def test_a_seed_moves_starts_and_speeds_within_the_jitter() -> None:
 
 
 def test_a_jam_is_mostly_movers() -> None:
-    simulation = make_simulation(load_scene("jam"), seed=0, size=SMALL)
+    simulation = make_simulation(scene_of("jam"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     shares = []
     for time_ns in simulation.camera_ns[::20]:
@@ -118,7 +139,7 @@ def test_a_jam_is_mostly_movers() -> None:
 
 
 def test_the_night_is_dark() -> None:
-    simulation = make_simulation(load_scene("night"), seed=0, size=SMALL)
+    simulation = make_simulation(scene_of("night"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
     grey = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
@@ -127,7 +148,7 @@ def test_the_night_is_dark() -> None:
 
 
 def test_a_longer_simulation_begins_as_a_shorter_one() -> None:
-    scene = load_scene("traffic")
+    scene = scene_of("traffic")
     short, long = (make_simulation(scene, seed=2, duration_s=d) for d in (1.0, 20.0))
     assert len(short.camera_ns) == 10
     assert len(long.camera_ns) == 200
@@ -140,7 +161,7 @@ def test_a_longer_simulation_begins_as_a_shorter_one() -> None:
 
 @pytest.mark.parametrize("path", ["stand", "walk", "drive"])
 def test_other_ways_of_moving_keep_clear_too(path: str) -> None:
-    simulation = make_simulation(load_scene("traffic"), seed=1, path=path, duration_s=12.0)
+    simulation = make_simulation(scene_of("traffic"), seed=1, path=path, duration_s=12.0)
     speed = np.linalg.norm(simulation.path.velocity(simulation.camera_ns), axis=-1)
     assert {"stand": speed.max() < 1e-9, "walk": 0.8 < speed.max() < 2.0,
             "drive": speed.max() > 5.0}[path]  # fmt: skip
@@ -150,10 +171,9 @@ def test_other_ways_of_moving_keep_clear_too(path: str) -> None:
     assert ahead[0] > 0.95
     assert len(simulation.scene.movers) >= 5
     if path != "walk":
-        for time_ns in simulation.camera_ns[::2]:
-            found = outlines(simulation, int(time_ns))
-            rig = found.pop("rig")
-            assert all(apart(rig, other) for other in found.values())
+        found = outlines(simulation, simulation.camera_ns[::2])
+        rig = found.pop("rig")
+        assert all(apart(rig, other).all() for other in found.values())
 
 
 def recording(folder: Path, seconds: float, sink_m: float = 0.0) -> Path:
@@ -173,7 +193,7 @@ def recording(folder: Path, seconds: float, sink_m: float = 0.0) -> Path:
 
 
 def test_a_recorded_path_starts_at_the_rig_and_looks_where_it_goes(tmp_path: Path) -> None:
-    scene = load_scene("traffic")
+    scene = scene_of("traffic")
     simulation = make_simulation(scene, seed=0, path=str(recording(tmp_path, 10.0)))
     assert 70 < len(simulation.camera_ns) <= 80  # two margins of a second
     start, last = int(simulation.camera_ns[0]), int(simulation.camera_ns[-1])
@@ -193,7 +213,7 @@ def test_a_recorded_path_starts_at_the_rig_and_looks_where_it_goes(tmp_path: Pat
 
 
 def test_a_recorded_path_that_leaves_or_ends_is_refused(tmp_path: Path) -> None:
-    scene = load_scene("empty")
+    scene = scene_of("empty")
     with pytest.raises(InputError, match=r"walk\.tum: the camera, 1\.5 m above.*sinks to"):
         make_simulation(scene, seed=0, path=str(recording(tmp_path, 10.0, sink_m=2.5)))
     with pytest.raises(InputError, match=r"walk\.tum: .* s long"):
@@ -205,13 +225,13 @@ def test_a_recorded_path_that_leaves_or_ends_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, 600.5, float("nan")])
 def test_impossible_durations_are_refused(duration_s: float) -> None:
     with pytest.raises(InputError, match="choose more than 0 and at most 600 s"):
-        make_simulation(load_scene("empty"), seed=0, duration_s=duration_s)
+        make_simulation(scene_of("empty"), seed=0, duration_s=duration_s)
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 0.5, 101.0, float("nan")])
 def test_impossible_rates_are_refused(rate_hz: float) -> None:
     with pytest.raises(InputError, match="choose 1 to 100"):
-        make_simulation(load_scene("empty"), seed=0, rate_hz=rate_hz)
+        make_simulation(scene_of("empty"), seed=0, rate_hz=rate_hz)
 
 
 def test_a_scene_whose_movers_touch_says_which_and_when() -> None:

@@ -82,7 +82,7 @@ def test_clone_columns_move_that_clone_alone(make_state: MakeState) -> None:
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
-def test_drop_clone_marginalises(make_state: MakeState, index: int) -> None:
+def test_marginalize_clone_keeps_the_rest_s_distribution(make_state: MakeState, index: int) -> None:
     state = make_state(np.random.default_rng(6), 3)
     less = marginalize_clone(state, index)
     kept = [i for i in range(3) if i != index]

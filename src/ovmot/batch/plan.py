@@ -6,7 +6,7 @@ sequences:
   walk:    {features: ../data/udel_gore.txt}
 settings:
   default: {}
-  no_split: {split.enabled: false}
+  no_segmentation: {segmentation.enabled: false}
 seeds: 10
 """
 
@@ -18,8 +18,8 @@ from pydantic import Discriminator, Field, Tag, ValidationError, field_validator
 
 from ovmot.errors import InputError
 from ovmot.settings import Section, Settings
-from ovmot.settings_file import SETTINGS_REMEDY, plain_messages, read_yaml_mapping
-from ovmot.sim.miscalibration import CalibrationError
+from ovmot.settings_file import SETTINGS_REMEDY, accept_old_keys, plain_messages, read_yaml_mapping
+from ovmot.sim.miscalibration import Miscalibration
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _RESERVED = ("data",)
@@ -73,7 +73,7 @@ class Features(Section):
     """How long; else to its end."""
     max_gap_s: float = Field(0.5, gt=0.0)
     """Holes in the recording up to this long are bridged."""
-    calibration_error: CalibrationError | None = None
+    calibration_error: Miscalibration | None = None
     """How far the calibration is off that the filter is given; drawn for each seed."""
 
     @model_validator(mode="after")
@@ -142,7 +142,7 @@ class Plan(Section):
 
     def settings_of(self, name: str) -> Settings:
         """The settings of that name, whole."""
-        return Settings.model_validate(nested(self.settings[name]))
+        return Settings.model_validate(accept_old_keys(nested(self.settings[name])))
 
 
 def read_plan(path: Path) -> Plan:

@@ -9,19 +9,23 @@ from pathlib import Path
 
 import numpy as np
 
+from ovmot import (
+    InputError,
+    OvmotError,
+    RunOptions,
+    evaluate,
+    prepare_process,
+    run_sequence,
+    simulate,
+    write_metrics,
+)
+from ovmot import open as open_sequence
+from ovmot.batch.feature_runs import evaluate_features, run_features
 from ovmot.batch.jobs import JOB_JSON, METRICS_JSON, Job, RenderJob, RunJob, is_done
 from ovmot.batch.plan import Features, Recorded
-from ovmot.datasets.registry import open_sequence
-from ovmot.errors import InputError, OvmotError
-from ovmot.evaluate import evaluate_features, evaluate_run, write_metrics
-from ovmot.run import RunOptions, run_features, run_sequence
-from ovmot.runtime import prepare_process
 from ovmot.sim.features import FeatureOptions, FeatureRecording
 from ovmot.sim.handheld import handheld_simulation
 from ovmot.sim.miscalibration import miscalibrated
-from ovmot.sim.scene_file import load_scene
-from ovmot.sim.scenes import make_simulation
-from ovmot.sim.writers import WRITERS
 
 _CALIBRATION_STREAM = 100
 """Of a seed's random numbers: apart from those of the simulation itself."""
@@ -51,16 +55,14 @@ def work(job: Job) -> Outcome:
 def _render(job: RenderJob) -> None:
     """Into a folder of another name first: the final one is there whole or not at all."""
     spec = job.sequence
-    scene = load_scene(spec.scene)
-    simulation = make_simulation(
-        scene, seed=job.seed, path=spec.path, size=spec.size, rate_hz=spec.rate_hz,
+    simulated = simulate(
+        spec.scene, seed=job.seed, path=spec.path, size=spec.size, rate_hz=spec.rate_hz,
         duration_s=spec.duration_s,
     )  # fmt: skip
     unfinished = job.folder.with_name(f"{job.folder.name}.{platform.node()}.{os.getpid()}.part")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
-        for _ in WRITERS[spec.format](unfinished, simulation, job.seed):
-            pass
+        simulated.write(unfinished, spec.format)
         if not job.folder.is_dir():
             unfinished.rename(job.folder)
     finally:
@@ -89,7 +91,7 @@ def _run_folder(job: RunJob, data: Path, truth: Path) -> None:
     sequence = open_sequence(data, imu_max_gap_s=job.settings.imu.max_gap_s)
     options = RunOptions(job.folder, save_points=True, force=True)
     run_sequence(sequence, job.settings, options)
-    write_metrics(job.folder, evaluate_run(job.folder, truth))
+    write_metrics(job.folder, evaluate(job.folder, truth))
 
 
 def _run_features(job: RunJob, spec: Features) -> None:

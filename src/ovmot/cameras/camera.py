@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ovmot.cameras.models import LENSES, CameraModel
+from ovmot.cameras.models import CAMERA_MODELS, CameraModel
 from ovmot.errors import CalibrationError
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
@@ -53,14 +54,31 @@ class Camera:
         distortion: FloatArray | list[float] | None = None,
         skew: float = 0.0,
     ) -> "Camera":
-        """Build from plain numbers; `size` is (width, height), `lens` a key of `LENSES`."""
-        if lens not in LENSES:
-            raise CalibrationError(f"unknown lens model '{lens}'; known: {', '.join(LENSES)}")
+        """Build from plain numbers; `size` is (width, height), `lens` a key of `CAMERA_MODELS`."""
+        if lens not in CAMERA_MODELS:
+            raise CalibrationError(
+                f"unknown lens model '{lens}'; known: {', '.join(CAMERA_MODELS)}"
+            )
         coefficients = np.asarray([] if distortion is None else distortion, dtype=np.float64)
         return cls(
             int(size[0]), int(size[1]), np.array([*focal, *center, skew], dtype=np.float64),
-            LENSES[lens], coefficients,
+            CAMERA_MODELS[lens], coefficients,
         )  # fmt: skip
+
+    @classmethod
+    def from_matrix(
+        cls,
+        K: ArrayLike,
+        size: tuple[int, int],
+        model: str = "none",
+        distortion: FloatArray | list[float] | None = None,
+    ) -> "Camera":
+        """Build from a camera matrix (3, 3) in pixels, as OpenCV gives it; the rest as `make`."""
+        matrix = np.asarray(K, dtype=np.float64)
+        if matrix.shape != (3, 3) or np.any(matrix[[1, 2, 2, 2], [0, 0, 1, 2]] != (0, 0, 0, 1)):
+            raise CalibrationError("a camera matrix is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]")
+        (fx, skew, cx), (_, fy, cy) = matrix[:2].tolist()
+        return cls.make(size, (fx, fy), (cx, cy), model, distortion, skew)
 
     @property
     def fx(self) -> float:

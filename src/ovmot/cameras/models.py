@@ -1,7 +1,7 @@
 """Lens models: how a lens moves a point of the ideal image plane.
 
 A lens works on normalised coordinates (x/z, y/z), without unit. A new model is one class here or
-in a file of its own, and a line in `LENSES`.
+in a file of its own, and a line in `CAMERA_MODELS`.
 """
 
 from functools import lru_cache
@@ -166,7 +166,7 @@ class Undistorted:
 
 
 _MODELS: tuple[CameraModel, ...] = (RadialTangential(), Equidistant(), Undistorted())
-LENSES: dict[str, CameraModel] = {lens.name: lens for lens in _MODELS}
+CAMERA_MODELS: dict[str, CameraModel] = {lens.name: lens for lens in _MODELS}
 
 
 def _five(coefficients: FloatArray) -> tuple[float, float, float, float, float]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ovmot.cameras.camera import Camera
 from ovmot.errors import CalibrationError
@@ -48,6 +49,19 @@ class StereoRig:
             raise CalibrationError(
                 f"no clock is {self.time_offset_s:g} s off: the time offset between camera and IMU"
             )
+
+    @classmethod
+    def make(
+        cls,
+        cam0: Camera,
+        cam1: Camera,
+        T_imu_cam0: ArrayLike,
+        T_imu_cam1: ArrayLike,
+        time_offset_s: float = 0.0,
+    ) -> "StereoRig":
+        """Build from arrays or nested lists (4, 4); rounding is taken out of their rotations."""
+        left, right = (np.array(T, dtype=np.float64) for T in (T_imu_cam0, T_imu_cam1))
+        return cls(cam0, cam1, left, right, float(time_offset_s)).with_orthonormal_rotations()
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
@@ -95,3 +109,30 @@ class StereoRig:
             return se3.make(so3.project_to_rotation(T[:3, :3]), T[:3, 3])
 
         return replace(self, T_imu_cam0=clean(self.T_imu_cam0), T_imu_cam1=clean(self.T_imu_cam1))
+
+
+def rectified(rig: StereoRig) -> StereoRig:
+    """Pinholes where the rig's cameras stand, both turned so that image rows agree.
+
+    x points from the left camera to the right one, z as near to the left camera's as can be.
+    """
+    p0, p1 = rig.T_imu_cam0[:3, 3], rig.T_imu_cam1[:3, 3]
+    x = (p1 - p0) / np.linalg.norm(p1 - p0)
+    y = np.cross(rig.T_imu_cam0[:3, 2], x)
+    y /= np.linalg.norm(y)
+    R_imu_rect = np.stack([x, y, np.cross(x, y)], axis=-1)
+    cam0, (fx, _, cx, cy, _) = rig.cam0, rig.cam0.intrinsics
+    camera = Camera.make((cam0.width, cam0.height), (fx, fx), (cx, cy))
+    poses = se3.make(R_imu_rect, p0), se3.make(R_imu_rect, p1)
+    return replace(rig, cam0=camera, cam1=camera, T_imu_cam0=poses[0], T_imu_cam1=poses[1])
+
+
+def without_distortion(rig: StereoRig) -> StereoRig:
+    """The same cameras with perfect lenses: `radtan` of zeros."""
+    cam0, cam1 = (
+        Camera.make(
+            (c.width, c.height), (c.fx, c.fy), tuple(c.intrinsics[2:4]), "radtan", [0.0] * 4
+        )
+        for c in rig.cameras
+    )
+    return replace(rig, cam0=cam0, cam1=cam1)

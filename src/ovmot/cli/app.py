@@ -3,6 +3,7 @@
 import io
 import signal
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 import ovmot
+from ovmot import InputError, OvmotError, RecordedSequence, RunOptions
 from ovmot.batch.batch import run_batch
 from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
 from ovmot.batch.plan import read_plan
@@ -28,6 +30,7 @@ from ovmot.cli.console import (
     progress,
     say,
     say_if_first_use,
+    say_warning,
     show,
     stages,
 )
@@ -42,20 +45,7 @@ from ovmot.cli.options import (
     SequenceOption,
     SetOption,
 )
-from ovmot.datasets.bag.topics import BagTopics
-from ovmot.datasets.openvins_config import load_run_config
-from ovmot.datasets.registry import open_recording
-from ovmot.datasets.sequence import RecordedSequence
-from ovmot.errors import InputError, OvmotError
-from ovmot.evaluate import evaluate_run, metrics_table, write_metrics, write_plots
-from ovmot.outputs.run_writer import Output, RunContext
 from ovmot.ros.bag_output import BagOutput
-from ovmot.run import RunOptions, run_sequence
-from ovmot.runtime import prepare_process
-from ovmot.settings import describe_settings
-from ovmot.sim.scene_file import SCENES, load_scene
-from ovmot.sim.scenes import make_simulation
-from ovmot.sim.writers import WRITERS
 
 app = typer.Typer(
     name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -69,6 +59,7 @@ def main() -> None:
     A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    warnings.showwarning = say_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # the names of files need not be text
@@ -146,18 +137,18 @@ def run(
     last: Annotated[int | None, typer.Option(min=0, help="Last frame.")] = None,
 ) -> None:
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
-    prepare_process()
+    ovmot.prepare_process()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    given = load_run_config(config, overrides)
+    given = ovmot.load_run_config(config, overrides)
     settings = given.settings
     with interruptible(NOTHING_WRITTEN):
-        recorded = open_recording(
+        recorded = ovmot.open(
             data,
             format,
             sequence,
             calibration or given.calibration,
             settings.imu.max_gap_s,
-            BagTopics(left, right, imu),
+            ovmot.BagTopics(left, right, imu),
         )
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
@@ -172,7 +163,7 @@ def run(
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,
     ):
-        summary = run_sequence(
+        summary = ovmot.run_sequence(
             recorded, settings, options, advance, lambda why: say(f"ovmot: {why}")
         )
     for warning, count in summary.warnings.items():
@@ -188,7 +179,7 @@ def run(
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write into: new or empty.")],
     scene: Annotated[
-        str, typer.Option(help=f"A scene ({', '.join(SCENES)}) or a YAML file of one.")
+        str, typer.Option(help=f"A scene ({', '.join(ovmot.SCENES)}) or a YAML file of one.")
     ] = "traffic",
     path: Annotated[
         str | None,
@@ -197,7 +188,7 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
-    format: Annotated[str, typer.Option(help=f"Layout: {', '.join(WRITERS)}.")] = "kaist",
+    format: Annotated[str, typer.Option(help=f"Layout: {', '.join(ovmot.WRITERS)}.")] = "kaist",
     size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Image size; else the scene's.")
     ] = None,
@@ -209,20 +200,19 @@ def simulate(
     ] = None,
 ) -> None:
     """Render a street as a recorded sequence, with the truth beside it."""
-    prepare_process()
-    write = WRITERS.get(format)
-    if write is None:
-        raise InputError(f"--format {format}: unknown; choose one of {', '.join(WRITERS)}")
-    simulation = make_simulation(
-        load_scene(scene), seed=seed, path=path, size=_size(size), rate_hz=rate, duration_s=duration
+    ovmot.prepare_process()
+    if format not in ovmot.WRITERS:
+        known = ", ".join(ovmot.WRITERS)
+        raise InputError(f"--format {format}: unknown; choose one of {known}")
+    simulated = ovmot.simulate(
+        scene, seed=seed, path=path, size=_size(size), rate_hz=rate, duration_s=duration
     )
-    total = len(simulation.camera_ns)
+    total = len(simulated)
     with (
         interruptible(f"{out} holds an unfinished sequence: delete it"),
         progress("simulate", total) as advance,
     ):
-        for done, _ in enumerate(write(out, simulation, seed), start=1):
-            advance(done)
+        simulated.write(out, format, advance)
     typer.echo(printable(f"{total} frames -> {out}"))
 
 
@@ -236,11 +226,11 @@ def evaluate(
 ) -> None:
     """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
     with interruptible(NOTHING_WRITTEN):
-        evaluation = evaluate_run(run, truth)
-    write_metrics(run, evaluation)
+        evaluation = ovmot.evaluate(run, truth)
+    ovmot.write_metrics(run, evaluation)
     if plots:
-        write_plots(run, evaluation)
-    show(metrics_table(evaluation))
+        ovmot.write_plots(run, evaluation)
+    show(ovmot.metrics_table(evaluation))
 
 
 @app.command()
@@ -291,18 +281,18 @@ def settings() -> None:
     """List every setting with its type, default and meaning."""
     console = Console()
     if not console.is_terminal:
-        for key, kind, default, meaning in describe_settings():
+        for key, kind, default, meaning in ovmot.describe_settings():
             typer.echo(f"{key} = {default}  ({kind}) {meaning}")
         return
     table = Table(Column("setting", no_wrap=True), "type", "default", "meaning")
-    for row in describe_settings():
+    for row in ovmot.describe_settings():
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)
 
 
 def _bag_output(
     path: Path, recorded: RecordedSequence, video: bool, force: bool
-) -> Callable[[RunContext], Output]:
+) -> Callable[[ovmot.RunContext], ovmot.Output]:
     read, written = recorded.root.resolve(), path.resolve()
     if recorded.kind == "bag" and read in (written, *written.parents):
         raise InputError.at(path, "is the bag that is read", "choose another name with --bag")

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 import typer
 from rich.console import Console
@@ -41,6 +42,18 @@ def say_if_first_use() -> None:
     """Say that code is compiled, where this is the first run on a machine."""
     if is_first_use(Path(ovmot.__file__).parent):
         say("ovmot: the first run on this machine compiles some code; that takes up to a minute")
+
+
+def say_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """What `warnings.showwarning` is for the command line: one line, without its place."""
+    say(f"ovmot: warning: {message}")
 
 
 def show(table: Table) -> None:

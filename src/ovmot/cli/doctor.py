@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+import ovmot
 from ovmot.cli.console import EXIT_FAILED, NOTHING_WRITTEN, interruptible, progress, show
 from ovmot.cli.options import (
     CalibrationOption,
@@ -14,11 +15,8 @@ from ovmot.cli.options import (
     RightOption,
     SequenceOption,
 )
-from ovmot.datasets.bag.topics import BagTopics
-from ovmot.datasets.registry import open_recording
 from ovmot.doctor.examine import examine, sampled_frames
 from ovmot.doctor.report import report_table, write_report
-from ovmot.runtime import prepare_process
 
 
 def doctor(
@@ -34,10 +32,10 @@ def doctor(
     ] = None,
 ) -> None:
     """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if anything is."""
-    prepare_process()
+    ovmot.prepare_process()
     with interruptible(NOTHING_WRITTEN):
-        recorded = open_recording(
-            data, format, sequence, calibration, topics=BagTopics(left, right, imu)
+        recorded = ovmot.open(
+            data, format, sequence, calibration, topics=ovmot.BagTopics(left, right, imu)
         )
     with (
         interruptible(NOTHING_WRITTEN),

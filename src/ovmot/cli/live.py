@@ -5,11 +5,10 @@ from typing import Annotated
 
 import typer
 
+from ovmot import InputError, prepare_process
 from ovmot.cli.console import interruptible, say_if_first_use
 from ovmot.cli.options import SetOption
-from ovmot.errors import InputError
 from ovmot.ros import ros1_node, ros2_node
-from ovmot.runtime import prepare_process
 
 _Calibration = Annotated[Path | None, typer.Option(help="Kalibr chain, or a data set's folder.")]
 _Config = Annotated[

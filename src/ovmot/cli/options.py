@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from ovmot.datasets.registry import READERS
+from ovmot import DATASETS
 
 FormatOption = Annotated[
-    str | None, typer.Option(help=f"Kind of data: {', '.join(READERS)}; else recognised.")
+    str | None, typer.Option(help=f"Kind of data: {', '.join(DATASETS)}; else recognised.")
 ]
 SequenceOption = Annotated[
     str | None, typer.Option(help="Which sequence, where the folder holds several.")

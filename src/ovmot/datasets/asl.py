@@ -2,9 +2,16 @@
 
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
-from ovmot.datasets.euroc.calibration import read_euroc
-from ovmot.datasets.findings import Findings
+import numpy as np
+
+from ovmot.datasets.calibration import (
+    Calibration,
+    load_calibration_yaml,
+    make_rig,
+    read_imu_noise,
+    read_pinhole,
+)
+from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise
 from ovmot.datasets.frames import (
     StereoListing,
     checked_stamps,
@@ -15,8 +22,10 @@ from ovmot.datasets.frames import (
     present_images,
 )
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.pose_files import read_stamped_csv, read_stamped_names
-from ovmot.errors import InputError
+from ovmot.datasets.text_tables import read_stamped_csv, read_stamped_names
+from ovmot.datasets.writing import ImuToWrite, write_rows
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
 _IMU_COLUMNS = 7  # ns, gyro xyz, accel xyz
@@ -63,22 +72,6 @@ def sensor_calibration(mav: Path, findings: Findings) -> Calibration:
     return read_euroc(*cameras, imu if imu.exists() else None)
 
 
-def note_no_imu(path: Path, findings: Findings) -> None:
-    """Note that the IMU's file is missing."""
-    findings.note("no_imu", 1, f"{path}: no IMU file; the ego motion must come from poses")
-
-
-def note_no_imu_noise(path: Path, findings: Findings) -> None:
-    """Note that the file with the IMU's noise is missing."""
-    findings.note("no_imu_noise", 1, f"{path}: missing; the IMU noise of the settings is used")
-
-
-def refuse_choice(root: Path, sequence: str | None) -> None:
-    """Raise `InputError` where `--sequence` is given for a folder of one sequence."""
-    if sequence is not None:
-        raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")
-
-
 def _images(camera: Path, findings: Findings) -> tuple[set[int], dict[int, Path]]:
     """Stamps of one camera and its images, from `data.csv` or, without it, from file names."""
     listed = camera / "data.csv"
@@ -88,3 +81,40 @@ def _images(camera: Path, findings: Findings) -> tuple[set[int], dict[int, Path]
         return set(found), found
     stamps = checked_stamps(read_stamped_names(listed), findings)
     return set(stamps), present_images(stamps, camera / "data", listed)
+
+
+def read_euroc(cam0: Path, cam1: Path, imu: Path | None) -> Calibration:
+    """Rig and IMU noise of the `sensor.yaml` files of two cameras and, if there, of the IMU.
+
+    `T_BS` maps sensor points into the body frame; without an IMU file the body is the IMU.
+    Raises `CalibrationError` with file, key and remedy.
+    """
+    left, right = load_calibration_yaml(cam0), load_calibration_yaml(cam1)
+    cameras = tuple(read_pinhole(node, "distortion_coefficients") for node in (left, right))
+    T_body_cam0, T_body_cam1 = left.transform("T_BS"), right.transform("T_BS")
+    if imu is None:
+        return Calibration(
+            make_rig(cam1, (cameras[0], cameras[1]), (T_body_cam0, T_body_cam1)), None
+        )
+    node = load_calibration_yaml(imu)
+    T_imu_body = se3.inverse(node.transform("T_BS"))
+    poses = T_imu_body @ T_body_cam0, T_imu_body @ T_body_cam1
+    return Calibration(make_rig(cam1, (cameras[0], cameras[1]), poses), read_imu_noise(node))
+
+
+_IMU_HEADER = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+)
+
+
+def write_listed(camera: Path, camera_ns: IntArray) -> None:
+    """`data.csv` of a camera: stamps and file names."""
+    rows = "".join(f"{t},{t}.png\n" for t in camera_ns)
+    (camera / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}", encoding="utf-8")
+
+
+def write_asl_imu(path: Path, imu: ImuToWrite) -> None:
+    """`data.csv` of the IMU: ns, gyro, accel."""
+    values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
+    write_rows(path, imu.data.timestamp_ns, values, _IMU_HEADER)

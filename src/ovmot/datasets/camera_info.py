@@ -5,8 +5,8 @@ Messages of type `sensor_msgs/CameraInfo` are the same values, see `bag_calibrat
 
 import numpy as np
 
-from ovmot.cameras.calibration import CalibrationNode
 from ovmot.cameras.camera import Camera
+from ovmot.datasets.calibration import CalibrationNode
 from ovmot.errors import CalibrationError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray

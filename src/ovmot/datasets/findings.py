@@ -1,6 +1,9 @@
 """What a reader noticed while it read: sentences for the user and counts for `run.json`."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+
+from ovmot.errors import InputError
 
 
 @dataclass(slots=True)
@@ -15,3 +18,19 @@ class Findings:
         if count:
             self.warnings.append(text)
             self.counts[key] = self.counts.get(key, 0) + count
+
+
+def note_no_imu(path: Path, findings: Findings) -> None:
+    """Note that the IMU's file is missing."""
+    findings.note("no_imu", 1, f"{path}: no IMU file; the ego motion must come from poses")
+
+
+def note_no_imu_noise(path: Path, findings: Findings) -> None:
+    """Note that the file with the IMU's noise is missing."""
+    findings.note("no_imu_noise", 1, f"{path}: missing; the IMU noise of the settings is used")
+
+
+def refuse_choice(root: Path, sequence: str | None) -> None:
+    """Raise `InputError` where `--sequence` is given for a folder of one sequence."""
+    if sequence is not None:
+        raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")

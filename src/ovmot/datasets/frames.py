@@ -8,7 +8,7 @@ import numpy as np
 
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.images import SUFFIXES
-from ovmot.datasets.pose_files import StampedNames, is_stamp
+from ovmot.datasets.text_tables import StampedNames, is_stamp
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.pose_files import StampedTable, ns_to_seconds
+from ovmot.datasets.text_tables import StampedTable, ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData

@@ -11,12 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration, CalibrationNode, load_calibration_yaml
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.calibration import (
+    Calibration,
+    CalibrationNode,
+    load_calibration_yaml,
+)
 from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
 from ovmot.errors import InputError
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings, make_settings, read_yaml_mapping
+from ovmot.text_files import StrPath
 
 PLAIN = {
     "calib_cam_extrinsics": "calibration.extrinsics",
@@ -105,13 +110,14 @@ class RunConfig:
     warnings: tuple[str, ...] = ()
 
 
-def load_run_config(path: Path | None, overrides: Sequence[str] = ()) -> RunConfig:
+def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunConfig:
     """Settings of ours or of OpenVINS, told by the keys; `overrides` are `section.key=value`.
 
     Raises `InputError` as `load_settings` does, and for chains that are missing or broken.
     """
-    if path is None:
+    if file is None:
         return RunConfig(load_settings(None, overrides))
+    path = Path(file)
     data = read_yaml_mapping(path)
     if not is_openvins(data):
         return RunConfig(load_settings(path, overrides))

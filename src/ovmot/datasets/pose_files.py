@@ -1,55 +1,29 @@
-"""Trajectories, poses and sensor tables as files: TUM, KITTI, EuRoC and KAIST rows.
+"""Trajectories and poses as files: TUM, KITTI and EuRoC rows, read, written and interpolated."""
 
-Stamps stay exact: nanoseconds are read as integers, and seconds as decimal text, never through
-a float. Lines that are empty or start with `#` are skipped, and so is a line of column names at
-the top. Every error names the file and the row (1-based, as an editor counts).
-"""
-
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from ovmot.errors import DatasetError, InputError
+from ovmot.datasets.text_tables import (
+    column_count,
+    ns_to_seconds,
+    read_lines,
+    read_stamped_csv,
+    seconds_to_ns,
+)
+from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from ovmot.text_files import read_text
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 
+_NS = 1_000_000_000
 MAX_POSE_GAP_S = 0.15
 """Poses farther apart than this are not interpolated."""
 
 # Camera axes (x right, y down, z forward) in a world of x forward, y left, z up.
 R_WORLD_CAMERA_AXES: FloatArray = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
-_NS = 1_000_000_000
-_INT64 = 2**63
-
-
-@dataclass(frozen=True, slots=True)
-class StampedTable:
-    """A table of a file: stamps (N,) in ns, values (N, K), and the file's row of each (N,).
-
-    `path` may be words for a place that is no file, as a topic of a bag.
-    """
-
-    path: Path | str
-    timestamp_ns: IntArray
-    values: FloatArray
-    row: IntArray
-
-
-@dataclass(frozen=True, slots=True)
-class StampedNames:
-    """Stamps (N,) in ns, the text beside each (empty where none), and the file's row of each."""
-
-    path: Path
-    timestamp_ns: IntArray
-    names: tuple[str, ...]
-    row: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,23 +50,6 @@ class EgoPoses:
     def known(self) -> BoolArray:
         """Which frames (M,) have a pose."""
         return np.isfinite(self.T_world_body[:, 0, 0])
-
-
-def seconds_to_ns(text: str) -> int:
-    """Nanoseconds of a decimal number of seconds, exactly; raises `ValueError` for other text."""
-    try:
-        value = Decimal(text)
-        if not abs(value) < _INT64 // _NS:
-            raise ValueError("beyond any clock")
-        return int((value * _NS).to_integral_value())
-    except (ArithmeticError, ValueError):
-        raise ValueError(f"'{text}' is not a time in seconds") from None
-
-
-def ns_to_seconds(timestamp_ns: int) -> str:
-    """Seconds with nine decimals, exactly."""
-    seconds, rest = divmod(abs(int(timestamp_ns)), _NS)
-    return f"{'-' if timestamp_ns < 0 else ''}{seconds}.{rest:09d}"
 
 
 def tum_line(timestamp_ns: int, T_world_imu: FloatArray) -> str:
@@ -146,34 +103,6 @@ def write_kitti_poses(path: Path, T_world_cam0: FloatArray) -> None:
     path.write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
 
 
-def read_stamped_csv(path: Path, n_columns: int) -> StampedTable:
-    """A comma-separated table: whole nanoseconds, then `n_columns` - 1 finite numbers.
-
-    Raises `DatasetError` naming the first row that is something else.
-    """
-    lines = read_lines(path, DatasetError)
-    layout = np.dtype([("stamp", "i8"), ("values", "f8", (n_columns - 1,))])
-    table = lines.parse(layout, n_columns, ",")
-    return StampedTable(path, table["stamp"], table["values"], lines.row)
-
-
-def read_stamped_names(path: Path) -> StampedNames:
-    """A list of whole nanoseconds, each with the name of a file after a comma or alone.
-
-    Raises `DatasetError` naming the first row that is something else.
-    """
-    lines = read_lines(path, DatasetError).with_data()
-    stamps, names = [], []
-    for row, text in zip(lines.row, lines.text, strict=True):
-        stamp, _, name = text.partition(",")
-        if not is_stamp(stamp):
-            problem = f"'{stamp.strip()[:40]}' is not a stamp in whole nanoseconds"
-            raise DatasetError.at(path, problem, "correct or delete the row", row=int(row))
-        stamps.append(int(stamp))
-        names.append(name.strip())
-    return StampedNames(path, np.array(stamps, dtype=np.int64), tuple(names), lines.row)
-
-
 def read_euroc_ground_truth(path: Path) -> Trajectory:
     """Truth of a EuRoC folder: ns, position, quaternion w x y z; further columns are left out.
 
@@ -185,12 +114,6 @@ def read_euroc_ground_truth(path: Path) -> Trajectory:
     table = read_stamped_csv(path, n_columns)
     q_xyzw = table.values[:, [4, 5, 6, 3]]
     return _trajectory(path, table.timestamp_ns, table.values[:, :3], q_xyzw, table.row)
-
-
-def column_count(path: Path, delimiter: str | None) -> int:
-    """Number of columns of the first row that holds data, 0 for an empty file."""
-    lines = read_lines(path, InputError)
-    return len(lines.text[0].split(delimiter)) if lines.text else 0
 
 
 def read_ego_poses(path: Path, frame_stamps_ns: IntArray) -> EgoPoses:
@@ -246,101 +169,6 @@ def interpolate_poses(
     out = se3.make(R, p_before + share[:, None] * (p_after - p_before))
     out[~usable] = np.nan
     return out
-
-
-@dataclass(frozen=True, slots=True)
-class Lines:
-    """The data lines of a text file, and the file's row of each (N,); `error` is raised."""
-
-    path: Path
-    error: type[InputError]
-    text: list[str]
-    row: IntArray
-
-    def with_data(self) -> "Lines":
-        """These lines; raises `error` if there are none."""
-        if not self.text:
-            raise self.error.at(self.path, "holds no data", "is this the right file?")
-        return self
-
-    def parse(self, layout: np.dtype[Any], n_columns: int, delimiter: str | None) -> AnyArray:
-        """The lines as an array of `layout`, by NumPy's parser; errors name the bad row."""
-        self.with_data()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # NumPy reads 1.5e18 as an integer, warning only
-                table: AnyArray = np.loadtxt(
-                    self.text,
-                    dtype=layout,
-                    delimiter=delimiter,
-                    comments=None,
-                    ndmin=1 if layout.names else 2,
-                )
-            if not layout.names and table.shape[1] != n_columns:
-                raise ValueError(f"{table.shape[1]} columns")
-        except (ValueError, OverflowError, Warning) as error:
-            self._complain(n_columns, delimiter, layout.names is not None)
-            raise self.error.at(self.path, f"cannot be read: {error}") from None
-        numbers = table["values"] if layout.names else table
-        broken = ~np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
-        if np.any(broken):
-            row = int(self.row[int(np.argmax(broken))])
-            problem = "holds a number that is not finite"
-            raise self.error.at(self.path, problem, "correct or delete the row", row=row)
-        return table
-
-    def _complain(self, n_columns: int, delimiter: str | None, stamped: bool) -> None:
-        """Raise for the first row that has not `n_columns` numbers; return if there is none."""
-        remedy = "correct or delete the row"
-        for row, text in zip(self.row, self.text, strict=True):
-            fields = text.split(delimiter)
-            if len(fields) != n_columns:
-                problem = f"{len(fields)} columns where {n_columns} are expected"
-                raise self.error.at(self.path, problem, remedy, row=int(row))
-            if stamped and not is_stamp(fields[0]):
-                problem = f"'{fields[0].strip()[:40]}' is not a stamp in whole nanoseconds"
-                raise self.error.at(self.path, problem, remedy, row=int(row))
-            for field in fields:
-                if not _is_number(field):
-                    problem = f"'{field.strip()[:40]}' is not a number"
-                    raise self.error.at(self.path, problem, remedy, row=int(row))
-
-
-def read_lines(path: Path, error: type[InputError]) -> Lines:
-    """The lines that hold data: not empty, no comment, no names of columns."""
-    everything = read_text(path, error).splitlines()
-    rows: list[int] = []
-    text: list[str] = []
-    header = False
-    for row, line in enumerate(everything, start=1):
-        stripped = line.strip()
-        if not stripped or stripped.startswith("#"):
-            continue
-        if not text and not header and stripped[0].isalpha() and not _is_number(_first(stripped)):
-            header = True
-            continue  # names of columns
-        rows.append(row)
-        text.append(stripped)
-    return Lines(path, error, text, np.array(rows, dtype=np.int64))
-
-
-def _first(line: str) -> str:
-    return line.replace(",", " ").split(None, 1)[0]
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def is_stamp(text: str) -> bool:
-    """Is this a whole number of nanoseconds?"""
-    digits = text.strip().removeprefix("-")
-    fits = digits.isascii() and digits.isdigit() and len(digits) <= len(str(_INT64))
-    return fits and int(digits) < _INT64
 
 
 def _trajectory(

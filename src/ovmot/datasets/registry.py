@@ -1,24 +1,39 @@
-"""The kinds of data sets, and the one door to them. A new kind: one file and a line here."""
+"""The kinds of data sets, and the one door to them.
 
+A new data set is one folder beside this file, with a reader and, where ovmot shall write it too, a
+writer, and a line in `DATASETS`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets.bag.file import bag_at
 from ovmot.datasets.bag.reader import read_bag
 from ovmot.datasets.bag.topics import BagTopics
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.euroc.reader import EurocReader
+from ovmot.datasets.euroc.writer import write_asl
 from ovmot.datasets.four_seasons.reader import FourSeasonsReader
+from ovmot.datasets.four_seasons.writer import write_four_seasons
 from ovmot.datasets.kaist.reader import KaistReader
+from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.datasets.kalibr import read_kalibr
 from ovmot.datasets.kitti.reader import KittiReader
 from ovmot.datasets.kitti_raw.reader import KittiRawReader
+from ovmot.datasets.kitti_raw.writer import write_kitti_extract, write_kitti_sync
 from ovmot.datasets.sequence import FolderSequence, RecordedSequence
 from ovmot.datasets.tum_vi.reader import TumViReader
+from ovmot.datasets.tum_vi.writer import write_tum_vi
 from ovmot.datasets.uzh_fpv.reader import UzhFpvReader
+from ovmot.datasets.uzh_fpv.writer import write_uzh_fpv
 from ovmot.datasets.viode.reader import ViodeReader
+from ovmot.datasets.viode.writer import write_viode
+from ovmot.datasets.writing import Writer
 from ovmot.errors import InputError
 from ovmot.settings import ImuSettings
+from ovmot.text_files import StrPath
 
 
 class Reader(Protocol):
@@ -43,76 +58,117 @@ class Reader(Protocol):
 
 _GIVE = "give the folder of a recorded sequence, or a ROS bag (.bag, .mcap, .db3)"
 
-READERS: dict[str, Reader] = {
-    "euroc": EurocReader(),
-    "kaist": KaistReader(),
-    "kitti": KittiReader(),
-    "kitti_raw": KittiRawReader(),
-    "tum_vi": TumViReader(),
-    "viode": ViodeReader(),
-    "uzh_fpv": UzhFpvReader(),
-    "4seasons": FourSeasonsReader(),
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """A kind of data set: how its folders are read, and the writers of its formats by name."""
+
+    reader: Reader
+    writers: Mapping[str, Writer] = field(default_factory=dict)
+
+
+DATASETS: dict[str, Dataset] = {
+    "euroc": Dataset(EurocReader(), {"asl": write_asl}),
+    "kaist": Dataset(KaistReader(), {"kaist": write_kaist}),
+    "kitti": Dataset(KittiReader()),
+    "kitti_raw": Dataset(
+        KittiRawReader(), {"kitti_sync": write_kitti_sync, "kitti_extract": write_kitti_extract}
+    ),
+    "tum_vi": Dataset(TumViReader(), {"tum_vi": write_tum_vi}),
+    "viode": Dataset(ViodeReader(), {"viode": write_viode}),
+    "uzh_fpv": Dataset(UzhFpvReader(), {"uzh_fpv": write_uzh_fpv}),
+    "4seasons": Dataset(FourSeasonsReader(), {"4seasons": write_four_seasons}),
 }
+
+WRITERS: dict[str, Writer] = {
+    name: write for kind in DATASETS.values() for name, write in kind.writers.items()
+}
+"""The writers of all data sets by the name of their format."""
 
 
 def open_recording(
-    path: Path,
+    path: StrPath,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | Calibration | None = None,
+    calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
 ) -> RecordedSequence:
-    """Describe the sequence in a ROS bag or, as `open_sequence` does, in a folder.
+    """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
-    `topics` are those of a bag, which has neither format nor several sequences.
+    Parameters
+    ----------
+    path
+        The folder of a sequence, or a bag: `.bag`, `.mcap`, `.db3` or the folder of a ROS 2 bag.
+    format
+        A key of `DATASETS`; None to recognise it by what the folder holds.
+    sequence
+        Which one, where the folder holds several.
+    calibration
+        A Kalibr chain (a file, or a folder with one) or a value, in place of the data's own.
+    imu_max_gap_s
+        The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported.
+    topics
+        Those of a bag, where they cannot be found by their types.
+
+    Returns
+    -------
+    RecordedSequence
+        It has `rig` and `imu_noise`; iterated over, it gives IMU samples and stereo frames in an
+        order that `Odometry.add` takes.
+
+    Raises
+    ------
+    InputError
+        Or a child of it: one line with file, row and remedy.
     """
-    bag = bag_at(path)
+    root, given = Path(path), _as_calibration(calibration)
+    bag = bag_at(root)
     if bag is None:
         if topics is not None:
-            _refuse(path, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
-        return open_sequence(path, format, sequence, calibration, imu_max_gap_s)
-    _refuse(path, "is a bag", format=format, sequence=sequence)
-    return read_bag(bag, topics or BagTopics(), calibration, _gap(imu_max_gap_s))
+            _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
+        return open_sequence(root, format, sequence, given, imu_max_gap_s)
+    _refuse(root, "is a bag", format=format, sequence=sequence)
+    return read_bag(bag, topics or BagTopics(), given, _gap(imu_max_gap_s))
 
 
 def open_sequence(
-    path: Path,
+    path: StrPath,
     format: str | None = None,
     sequence: str | None = None,
-    calibration: Path | Calibration | None = None,
+    calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
 ) -> FolderSequence:
-    """Describe the sequence in a folder; no image is decoded.
-
-    `format` is a key of `READERS` or None to recognise it; `sequence` chooses where a folder
-    holds several; `calibration`, or a Kalibr chain file or folder with one, is in place of the data
-    set's own; `imu_max_gap_s` is the setting `imu.max_gap_s`.
-    Raises `InputError` and its children, each with file, row and remedy.
-    """
-    if not path.exists():
-        raise InputError.at(path, "no such folder or bag", _GIVE)
-    if not path.is_dir():
-        raise InputError.at(path, "not a folder, and not a bag", _GIVE)
-    given = read_kalibr(calibration) if isinstance(calibration, Path) else calibration
+    """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
+    root = Path(path)
+    if not root.exists():
+        raise InputError.at(root, "no such folder or bag", _GIVE)
+    if not root.is_dir():
+        raise InputError.at(root, "not a folder, and not a bag", _GIVE)
+    chain = _as_calibration(calibration)
+    given = read_kalibr(chain) if isinstance(chain, Path) else chain
     gap = _gap(imu_max_gap_s)
     if format is not None:
-        if format not in READERS:
-            raise InputError(f"--format {format}: unknown; known: {', '.join(READERS)}")
-        return READERS[format].read(path, sequence, given, gap)
-    kinds = recognise(path)
-    if not kinds and sequence is not None and len(recognise(path / sequence)) == 1:
-        return open_sequence(path / sequence, None, None, given, imu_max_gap_s)
+        if format not in DATASETS:
+            raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
+        return DATASETS[format].reader.read(root, sequence, given, gap)
+    kinds = recognise(root)
+    if not kinds and sequence is not None and len(recognise(root / sequence)) == 1:
+        return open_sequence(root / sequence, None, None, given, imu_max_gap_s)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
-        known = "; ".join(f"{kind}: {reader.needs}" for kind, reader in READERS.items())
-        raise InputError.at(path, what, f"choose with --format. Known: {known}")
-    return READERS[kinds[0]].read(path, sequence, given, gap)
+        known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
+        raise InputError.at(root, what, f"choose with --format. Known: {known}")
+    return DATASETS[kinds[0]].reader.read(root, sequence, given, gap)
 
 
 def recognise(path: Path) -> list[str]:
     """The kinds that a folder looks like."""
-    return [kind for kind, reader in READERS.items() if reader.recognise(path)]
+    return [kind for kind, data in DATASETS.items() if data.reader.recognise(path)]
+
+
+def _as_calibration(given: StrPath | Calibration | None) -> Path | Calibration | None:
+    return given if given is None or isinstance(given, Calibration) else Path(given)
 
 
 def _gap(given_s: float | None) -> float:

@@ -1,22 +1,23 @@
 """A recorded sequence, described: everything known of it before the first image is decoded."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
-from ovmot.datasets.pose_files import ns_to_seconds
-from ovmot.datasets.segmentation import Segmentation
+from ovmot.datasets.instance_masks import InstanceImages
+from ovmot.datasets.stream import events
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image, IntArray
-from ovmot.types import ImuData, ImuNoise
+from ovmot.types import Event, ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
 
@@ -43,6 +44,8 @@ class RecordedSequence(ABC):
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
     `segmentation` is there where the data has pictures of what each pixel shows. `warnings` are
     sentences for the user; `counts` the numbers behind them.
+
+    Its length is M; iterated over, it gives the events of all frames (see `stream.events`).
     """
 
     kind: str
@@ -55,10 +58,13 @@ class RecordedSequence(ABC):
     frame_number: IntArray
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
-    segmentation: Segmentation | None = None
+    segmentation: InstanceImages | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
+
+    def __iter__(self) -> Iterator[Event]:
+        return events(self)
 
     @abstractmethod
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
@@ -93,7 +99,7 @@ def assemble(
     decode: Decode,
     findings: Findings,
     numbers: IntArray | None = None,
-    segmentation: Segmentation | None = None,
+    segmentation: InstanceImages | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 

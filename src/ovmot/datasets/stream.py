@@ -4,14 +4,17 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.datasets.sequence import RecordedSequence, StoredImage
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image
 from ovmot.types import Event, ImuData, ImuSample, StereoFrame
+
+if TYPE_CHECKING:  # which is iterated over by `events`
+    from ovmot.datasets.sequence import RecordedSequence, StoredImage
 
 AHEAD = 8
 """Stereo pairs decoded or being decoded at most, before they are asked for."""
@@ -21,7 +24,7 @@ _TAIL_S = 1.0
 
 
 def events(
-    sequence: RecordedSequence, *, first: int = 0, last: int | None = None
+    sequence: "RecordedSequence", *, first: int = 0, last: int | None = None
 ) -> Generator[Event, None, None]:
     """IMU samples and stereo frames `first` ... `last` (both included, counted from 0), merged.
 
@@ -39,21 +42,23 @@ def events(
     return _merged(sequence, first, stop)
 
 
-def _merged(sequence: RecordedSequence, first: int, stop: int) -> Generator[Event, None, None]:
+def _merged(sequence: "RecordedSequence", first: int, stop: int) -> Generator[Event, None, None]:
     imu, frame_ns = sequence.imu, sequence.frame_ns
     position, end = (0, 0) if imu is None else _imu_range(sequence, imu, first, stop)
     for index, (left, right) in enumerate(_decoded_pairs(sequence, first, stop), start=first):
         stamp = int(frame_ns[index])
         if imu is not None:
             until = int(np.searchsorted(imu.timestamp_ns, stamp, side="right"))
-            yield from _samples(imu, position, min(until, end))
+            yield from samples(imu, position, min(until, end))
             position = max(position, until)
         yield StereoFrame(stamp, left, right)
     if imu is not None:
-        yield from _samples(imu, position, end)
+        yield from samples(imu, position, end)
 
 
-def _imu_range(sequence: RecordedSequence, imu: ImuData, first: int, stop: int) -> tuple[int, int]:
+def _imu_range(
+    sequence: "RecordedSequence", imu: ImuData, first: int, stop: int
+) -> tuple[int, int]:
     offset_s = sequence.rig.time_offset_s
     begin = int(sequence.frame_ns[first]) - round(1e9 * (_LEAD_S + max(0.0, -offset_s)))
     finish = int(sequence.frame_ns[stop - 1]) + round(1e9 * (_TAIL_S + max(0.0, offset_s)))
@@ -62,13 +67,14 @@ def _imu_range(sequence: RecordedSequence, imu: ImuData, first: int, stop: int) 
     return int(low), int(high)
 
 
-def _samples(imu: ImuData, begin: int, end: int) -> Iterator[ImuSample]:
+def samples(imu: ImuData, begin: int, end: int) -> Iterator[ImuSample]:
+    """The samples `begin` to `end` - 1, one by one."""
     for i in range(begin, end):
         yield ImuSample(int(imu.timestamp_ns[i]), imu.gyro[i], imu.accel[i])
 
 
 def _decoded_pairs(
-    sequence: RecordedSequence, first: int, stop: int
+    sequence: "RecordedSequence", first: int, stop: int
 ) -> Generator[tuple[Image, Image], None, None]:
     """Pairs in order, both sides decoded in parallel, at most `AHEAD` pairs in memory."""
     pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-decode")
@@ -92,7 +98,7 @@ def _decoded_pairs(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _image(stored: StoredImage, camera: Camera) -> Image:
+def _image(stored: "StoredImage", camera: Camera) -> Image:
     image = stored.decode()
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):

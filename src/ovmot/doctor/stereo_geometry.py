@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ovmot.cameras.camera import Camera
-from ovmot.cameras.models import LENSES
+from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.cameras.rig import StereoRig
 from ovmot.doctor.places import Places
 from ovmot.doctor.report import Finding, Severity
@@ -156,7 +156,7 @@ def _other_models(rig: StereoRig) -> dict[str, StereoRig]:
 
 def _with_model(camera: Camera, name: str) -> Camera:
     coefficients = np.resize(camera.distortion, 4) if len(camera.distortion) else np.zeros(4)
-    return replace(camera, lens=LENSES[name], distortion=coefficients)
+    return replace(camera, lens=CAMERA_MODELS[name], distortion=coefficients)
 
 
 def _best_alternative(

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.evaluation.table_files import read_table
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.outputs.run_reader import read_table
 
 TIME_OFFSET = "time_offset_s"
 _ROTATION, _POSITION = ("rx", "ry", "rz"), ("x", "y", "z")

@@ -4,17 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.datasets.pose_files import Trajectory, interpolate_poses, ns_to_seconds
+from ovmot.datasets.pose_files import Trajectory, interpolate_poses
+from ovmot.datasets.text_tables import ns_to_seconds
+from ovmot.datasets.truth import EgoTruth
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluation.alignment import ALIGNMENTS, align_first
-from ovmot.evaluation.association import associate_stamps
 from ovmot.evaluation.consistency import Average, average, nees, pose_errors, turn_world
-from ovmot.evaluation.ego_truth import EgoTruth
-from ovmot.evaluation.run_files import EgoRun
 from ovmot.evaluation.standstill import StandstillDrift, standing_intervals, standstill_drift
 from ovmot.evaluation.trajectory import (
     ErrorStatistics,
     absolute_errors,
+    associate_stamps,
     drift_percent,
     pairs_by_distance,
     pairs_by_time,
@@ -23,6 +23,7 @@ from ovmot.evaluation.trajectory import (
     statistics,
 )
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.outputs.run_reader import EgoRun
 
 ATE_ALIGNMENTS = ("yaw", "se3", "sim3", "none")
 RPE_SECONDS = (1.0,)

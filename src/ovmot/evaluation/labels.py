@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ovmot.datasets.truth import ObjectTruth
 from ovmot.evaluation.matching import ObjectCriteria
-from ovmot.evaluation.object_files import LABELS, LabelledPoints
-from ovmot.evaluation.object_truth import ObjectTruth
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.outputs.run_reader import LABELS, LabelledPoints
 
 _EDGE = np.ones((7, 7), dtype=np.uint8)
 

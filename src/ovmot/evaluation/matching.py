@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ovmot.evaluation.object_files import Tracks
-from ovmot.evaluation.object_truth import ObjectTruth, TrueObjects
+from ovmot.datasets.truth import ObjectTruth, TrueObjects
 from ovmot.evaluation.tracking import TrackingSequence
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.outputs.run_reader import Tracks
 
 _FAR = 1e6
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.truth import ObjectTruth
 from ovmot.evaluation.labels import pixel_index
-from ovmot.evaluation.object_files import GatedMatches
-from ovmot.evaluation.object_truth import ObjectTruth
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.outputs.run_reader import GatedMatches
 
 RIGHT_WITHIN_PX = 3.0
 _STEP = 0.05

@@ -5,27 +5,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
-from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
-from ovmot.geometry.triangulation import squared_distance, stereo_covariance
+from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.components_kernel import components_compiled
+from ovmot.physics import ACCEL_SIGMA_MPS2, gates
 from ovmot.segmentation.history_kernel import (
-    displace_compiled,
+    distance_from_static_compiled,
     fit_velocities_compiled,
     weigh_compiled,
 )
-from ovmot.segmentation.stereo_history import (
-    Comparison,
-    PatchDrift,
-    StereoHistory,
-    carrying,
-    compare,
+from ovmot.segmentation.motion_tests import SHARED_NOISE
+from ovmot.segmentation.static_comparison import (
+    StaticComparison,
+    compare_with_static,
+    static_motion,
 )
+from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -36,12 +35,10 @@ _SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
 _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
 _NEIGHBOURS = 5  # nearest ones among which two must be to be linked
-_FORGIVEN_ACCEL = 1.5  # m/s² that points of a body may have, also as it turns
 _KNOWN_REACH = 2.0  # of the radius, between parts of one track
 _WIDTH_SIGMAS = 4.0  # by which points of one body may scatter beyond it
 _LEAST_GAP_M = 0.5  # between two vehicles side by side
 _BRAKING_S = 0.45  # over which one velocity explains also a car on its brakes
-_FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +55,6 @@ class MotionHistory:
 
     feature_id: IntArray
     owner: IntArray
-    track_length: IntArray
     history: StereoHistory
     predicted: FloatArray
     p_cam0: FloatArray
@@ -71,42 +67,34 @@ class MotionHistory:
 
 
 def motion_history(
-    table: FeatureTable,
+    history: StereoHistory,
     points: ScenePoints,
     window: PoseWindow,
     rig: StereoRig,
     settings: ObjectSettings,
-    pixel_sigma: float,
+    max_range_m: float,
 ) -> MotionHistory | None:
-    """What the table knows of the points that may move; None where they are too few.
+    """What the history of a frame's `points` tells of those that may move; None for too few.
 
-    These are points that one velocity explains and that do not seem to stand. A label `static` is
-    no bar: what is too little to tell for a point may be enough for a group.
+    These are points that one velocity explains and that do not seem static. A label `static` is no
+    bar: what is too little to tell for a point may be enough for a group.
     """
-    rows = _rows(table, window, settings.look_back_s)
-    history = _history(table, points, window, rows)
-    sigma = rig.normalized_sigma(pixel_sigma)
-    T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
-    T_now_then = carrying(history, window, rig)
-    off_rest = displace_compiled(history.then, points.p_cam0, T_now_then, T_cam1_cam0, sigma)
-    shown = off_rest > _HINT
-    shown |= points.label != int(PointLabel.STATIC)
+    T_now_then = static_motion(history, window, rig)
+    distance = distance_from_static_compiled(
+        history.p_then, history.p_now, history.cov_now, T_now_then
+    )
+    may_move = distance > _HINT
+    may_move |= points.label != int(PointLabel.STATIC)
     with np.errstate(invalid="ignore"):
-        near = points.p_cam0[:, 2] < settings.max_range_m
-    candidate = np.flatnonzero(near & shown & np.isfinite(history.then).all(-1).any(0))
+        near = points.p_cam0[:, 2] < max_range_m
+    candidate = np.flatnonzero(near & may_move & np.isfinite(history.p_then[..., 2]).any(0))
     if len(candidate) < settings.min_points:
         return None
-    known = np.isfinite(history.then[:, candidate]).all(-1).sum(0)
+    known = np.isfinite(history.p_then[:, candidate, 2]).sum(0)
     u, owner = points.pixels[candidate, 0], points.track_id[candidate]
     candidate = candidate[_chosen(known, u, owner, settings)]
-    history = _only(history, candidate)
-    comparison = compare(
-        history,
-        window,
-        rig,
-        pixel_sigma,
-        PatchDrift(settings.drift_per_frame_px, settings.drift_per_flow),
-    )
+    history = history.only(candidate)
+    comparison = compare_with_static(history, window, rig)
     velocity, covariance, steady = _fit(comparison)
     changes = ~steady & (points.track_id[candidate] >= 0)
     if changes.any():
@@ -115,17 +103,16 @@ def motion_history(
     kept = np.flatnonzero(steady & (squared_distance(velocity, covariance) > _MOVES))
     if len(kept) < settings.min_points:
         return None
-    p_cam0 = points.p_cam0[candidate[kept]]
     J, S = comparison.J_motion.take(kept, axis=1), comparison.S_motion.take(kept, axis=1)
     weight, information = weigh_compiled(J, S, comparison.tested.take(kept, axis=1))
+    history = history.only(kept)
     return MotionHistory(
-        feature_id=points.feature_id[candidate[kept]],
+        feature_id=history.feature_id,
         owner=points.track_id[candidate[kept]],
-        track_length=len(table.frame_ns) - 1 - rows,
-        history=_only(history, kept),
+        history=history,
         predicted=comparison.predicted.take(kept, axis=1),
-        p_cam0=p_cam0,
-        cov_cam0=stereo_covariance(p_cam0, T_cam1_cam0, sigma),
+        p_cam0=history.p_now,
+        cov_cam0=history.cov_now,
         weight=weight,
         information=information,
         velocity=velocity[kept],
@@ -152,18 +139,18 @@ def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSet
     return np.sort(some[longest])
 
 
-def _fit(comparison: Comparison) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _fit(comparison: StaticComparison) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Velocity (M, 3), its covariance (M, 3, 3), and whether it explains all rows (M,)."""
     tested, span_s, J = comparison.tested, comparison.span_s, comparison.J_motion
-    slack = (0.5 * _FORGIVEN_ACCEL * span_s**2) ** 2
+    slack = (0.5 * ACCEL_SIGMA_MPS2 * span_s**2) ** 2
     velocity, covariance, cost = fit_velocities_compiled(
         comparison.residual, J, comparison.S_motion, J, slack, span_s, tested
     )
-    steady = cost < _FIT_SLACK * chdtri(np.maximum(4 * tested.sum(0) - 3, 1), 0.001)
+    steady = cost < SHARED_NOISE * gates(np.maximum(4 * tested.sum(0) - 3, 1), 0.999)
     return velocity, covariance, steady
 
 
-def _shortened(comparison: Comparison, which: BoolArray) -> Comparison:
+def _shortened(comparison: StaticComparison, which: BoolArray) -> StaticComparison:
     """Some points (M,) by their last rows alone: a car that brakes was faster before.
 
     For points of tracks: else any jump of a patch would be a motion.
@@ -172,38 +159,6 @@ def _shortened(comparison: Comparison, which: BoolArray) -> Comparison:
     residual = comparison.residual.copy()
     residual[np.ix_(old, which)] = np.nan
     return replace(comparison, residual=residual)
-
-
-def _history(
-    table: FeatureTable, points: ScenePoints, window: PoseWindow, rows: IntArray
-) -> StereoHistory:
-    """All points of the frame in these rows and now."""
-    column = table.columns(points.feature_id)
-    return StereoHistory(
-        then=table.normalized[rows].take(column, axis=1),
-        now=table.normalized[-1, column],
-        clone_index=np.searchsorted(window.timestamp_ns, table.clone_ns[rows]),
-        span_s=np.asarray((table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9, dtype=np.float64),
-    )
-
-
-def _only(history: StereoHistory, index: IntArray) -> StereoHistory:
-    """The history of some points."""
-    return replace(history, then=history.then.take(index, axis=1), now=history.now[index])
-
-
-def _rows(table: FeatureTable, window: PoseWindow, look_back_s: tuple[float, ...]) -> IntArray:
-    """Earlier rows with a pose near each look-back time, oldest first."""
-    posed = np.isin(table.clone_ns, window.timestamp_ns)
-    posed[-1] = False
-    rows = np.flatnonzero(posed)
-    if len(rows) == 0:
-        return rows
-    age = (table.frame_ns[-1] - table.frame_ns[rows]) * 1e-9
-    apart = np.abs(age[None] - np.array(look_back_s)[:, None])
-    nearest = apart.argmin(1)
-    near = apart.min(1) < 0.3 * np.array(look_back_s)
-    return np.unique(rows[nearest[near]])
 
 
 def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.clustering import (
@@ -18,6 +17,7 @@ from ovmot.objects.clustering import (
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
 from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion, known_part
+from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import ObjectSettings
 from ovmot.types import PoseWindow, ScenePoints
 
@@ -69,46 +69,47 @@ class _Body:
 
 
 def measure_objects(
-    table: FeatureTable,
+    history: StereoHistory,
     points: ScenePoints,
     window: PoseWindow,
     rig: StereoRig,
     settings: ObjectSettings,
-    pixel_sigma: float,
+    max_range_m: float,
     rng: np.random.Generator,
 ) -> tuple[ObjectMeasurement, ...]:
     """The moving bodies of the newest frame, those with most points first.
 
-    `table` holds that frame as its last row, `points` its split, `window` the corrected poses.
+    `history` is that of the frame's segmented `points`, `window` holds the updated poses. Points
+    beyond `max_range_m` belong to no body.
     """
     # 1 what each point did over the last frames
-    history = motion_history(table, points, window, rig, settings, pixel_sigma)
-    if history is None:
+    moving = motion_history(history, points, window, rig, settings, max_range_m)
+    if moving is None:
         return ()
     # 2 neighbours that move alike
-    groups = group_points(history, settings)
+    groups = group_points(moving, settings)
     # 3 rigid motions in each group
-    motions = [extract_motions(history, group, rig, settings, rng) for group in groups]
+    motions = [extract_motions(moving, group, rig, settings, rng) for group in groups]
     found = [motion for of_group in motions for motion in of_group]
     group_of = np.repeat(np.arange(len(groups)), [len(of_group) for of_group in motions])
     if not found:
         return ()
     # 4 motions and points together, by reprojection
-    views, twist, row = _views_of(history, found, window, rig, settings)
+    views, twist, row = _views_of(moving, found, window, rig, settings)
     index = np.concatenate([group.index for group in found])
-    may_turn = _shows_turns(history, index, views.body)
+    may_turn = _shows_turns(moving, index, views.body)
     refined = refine_bodies(
-        views, twist, history.p_cam0[index], may_turn, rig, settings, pixel_sigma
+        views, twist, moving.p_cam0[index], may_turn, rig, settings, history.noise
     )
     # 5 what is left of each: enough points, moving, and not a part of another
     members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found))]
     enough = [k for k, own in enumerate(members) if len(own) >= settings.min_points]
     measured = _with_ego_covariance(
         _measurements(
-            enough, members, history.feature_id[index], views, refined, may_turn, settings
+            enough, members, moving.feature_id[index], views, refined, may_turn, settings
         ),
         window,
-        history.history.clone_index[row[enough]],
+        _clones_of(history, window)[row[enough]],
     )
     T_cam0_world = se3.inverse(views.T_world_cam0[-1, 0])
     is_static = STATIC_TESTS[settings.static_test]
@@ -117,7 +118,7 @@ def measure_objects(
         if not _is_fast(body, settings) or _is_aloft(body, views.T_world_cam0[-1, 0], settings):
             continue
         if not is_static(_as_found(body, T_cam0_world), rig, settings):
-            owner = main_owner(history.owner[index[members[k]]])
+            owner = main_owner(moving.owner[index[members[k]]])
             bodies.append(_Body(int(group_of[k]), owner, body))
     return _without_parts(bodies, settings)
 
@@ -187,9 +188,9 @@ def _views_of(
     views = BodyViews(
         seen=np.concatenate([earlier, past.now[None, index]]),
         body=body,
-        T_world_cam0=np.concatenate([T_world_cam0[past.clone_index[rows]], now]),
+        T_world_cam0=np.concatenate([T_world_cam0[_clones_of(past, window)[rows]], now]),
         span_s=np.concatenate([past.span_s[rows], none]),
-        track_length=np.concatenate([history.track_length[rows].astype(np.float64), none]),
+        track_length=np.concatenate([past.n_frames[rows].astype(np.float64), none]),
         origin=se3.apply(T_now, centre),
     )
     T_now_then = np.stack([group.T_now_then for group in found])
@@ -197,6 +198,11 @@ def _views_of(
     T_world = se3.inverse(shift) @ T_now @ T_now_then @ se3.inverse(T_now) @ shift
     span = past.span_s[[group.row for group in found]]
     return views, se3.log(T_world) / span[:, None], row
+
+
+def _clones_of(history: StereoHistory, window: PoseWindow) -> IntArray:
+    """Indices (L,) in the window of the clones that hold a history's earlier poses."""
+    return np.asarray(np.searchsorted(window.timestamp_ns, history.clone_ns))
 
 
 def _row_between(span_s: FloatArray, row: int) -> int:

@@ -5,15 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable
 from ovmot.frontend.focus import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
+from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import Settings
 from ovmot.types import ObjectTrack, PoseWindow, ScenePoints
+
+_STEADY_S = 1.0  # over which a body's velocity is taken as steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,33 +41,40 @@ class MovingObjects:
 
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
+        self._max_range_m = settings.segmentation.max_range_m
         self._focus_width_m = settings.tracker.focus_width_m
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
     def step(
         self,
-        table: FeatureTable,
+        history: StereoHistory,
+        now_ns: int,
         segmentation: Segmentation,
         window: PoseWindow,
         rig: StereoRig,
-        pixel_sigma: float,
     ) -> ObjectsResult:
         """The objects of the newest frame, by its segmented points.
 
-        `table` holds that frame as its last row, `window` the updated poses, `rig` the calibration
-        as estimated now; `pixel_sigma`: standard deviation of the pixels of a stereo match.
+        `history` is that of these points, `window` holds the updated poses, `rig` is the
+        calibration as estimated now.
         """
         if not self._settings.enabled:
             none = np.empty(0, dtype=np.int64)
             return ObjectsResult(
                 (), segmentation.points, none, none, np.empty((0, 3)), np.empty((0, 2)), np.empty(0)
             )
-        tracker, now_ns = self._tracker, int(table.frame_ns[-1])
+        tracker = self._tracker
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         points = tracker.owned(segmentation.points)
         measurements = measure_objects(
-            table, points, window, rig, self._settings, pixel_sigma, self._rng
+            history.younger(_STEADY_S),
+            points,
+            window,
+            rig,
+            self._settings,
+            self._max_range_m,
+            self._rng,
         )
         tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0)
         held = excluded_features(points, self._settings.max_excluded_share)

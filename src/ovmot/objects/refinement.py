@@ -17,6 +17,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.refinement_kernel import Sightings, reduce_points_compiled
 from ovmot.settings import ObjectSettings
+from ovmot.types import PixelNoise
 
 _ITERATIONS = 6
 _WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
@@ -77,7 +78,7 @@ def refine_bodies(
     may_turn: BoolArray,
     rig: StereoRig,
     settings: ObjectSettings,
-    pixel_sigma: float,
+    noise: PixelNoise,
 ) -> RefinedBodies:
     """Levenberg-damped Gauss-Newton from `twist` (B, 6) and stereo points `p_cam0` (M, 3) of now.
 
@@ -89,7 +90,7 @@ def refine_bodies(
     prior = np.zeros((n_bodies, 6))
     prior[:, :3] = settings.tilt_rate_sigma_rps**-2.0
     prior[may_turn, 2] = settings.yaw_rate_sigma_rps**-2.0
-    sightings, valid = sightings_of(views, rig, settings, pixel_sigma)
+    sightings, valid = sightings_of(views, rig, noise)
     dof = 4 * valid.sum(0) - 3
     huber = np.sqrt(chdtri(dof, _HUBER_SHARE))
     bound = chdtri(dof, _OUTLIER_SHARE)
@@ -132,7 +133,7 @@ def refine_bodies(
 
 
 def sightings_of(
-    views: BodyViews, rig: StereoRig, settings: ObjectSettings, pixel_sigma: float
+    views: BodyViews, rig: StereoRig, noise: PixelNoise
 ) -> tuple[Sightings, BoolArray]:
     """The views with their noise, as the kernel takes them, and which of them (V, M) exist.
 
@@ -144,14 +145,14 @@ def sightings_of(
     focal = np.array([f0[0], f0[1], f1[0], f1[1]])
     valid = np.asarray(np.isfinite(views.seen).all(-1), np.bool_)
     flow = np.linalg.norm((views.seen - views.seen[-1])[..., :2] * focal[:2], axis=-1)
-    drift = views.track_length[:, views.body] * settings.drift_per_frame_px**2
-    drift = drift + (settings.drift_per_flow * np.nan_to_num(flow)) ** 2
+    drift = views.track_length[:, views.body] * noise.drift_per_frame_px**2
+    drift = drift + (noise.drift_per_flow * np.nan_to_num(flow)) ** 2
     half = np.sqrt(0.5)
     into_view, out_of_now = views.about_origin
     sightings = Sightings(
         seen=np.ascontiguousarray(views.seen),
-        by_difference=np.where(valid, half / pixel_sigma, 0.0),
-        by_sum=np.where(valid, half / np.sqrt(pixel_sigma**2 + 2.0 * drift), 0.0),
+        by_difference=np.where(valid, half / noise.sigma_px, 0.0),
+        by_sum=np.where(valid, half / np.sqrt(noise.sigma_px**2 + 2.0 * drift), 0.0),
         body=views.body,
         span_s=np.ascontiguousarray(views.span_s),
         into_view=into_view,

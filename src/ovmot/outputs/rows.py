@@ -69,9 +69,3 @@ def format_rows(template: str, rows: Iterable[tuple[Any, ...]]) -> str:
     """
     line = template + "\n"
     return "".join([line % row for row in rows]).replace("nan", "")
-
-
-def format_seconds(timestamp_ns: int) -> str:
-    """Integer nanoseconds as seconds with nine decimals, exactly: no float is involved."""
-    seconds, rest = divmod(abs(timestamp_ns), 1_000_000_000)
-    return f"{'-' if timestamp_ns < 0 else ''}{seconds}.{rest:09d}"

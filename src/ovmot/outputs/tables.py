@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.outputs.rows import RowFile, format_rows, format_seconds
+from ovmot.outputs.rows import RowFile, format_rows
 from ovmot.types import EgoEstimate, FrameResult, PointLabel
 
 _LABELS = {int(label): label.name.lower() for label in PointLabel}
@@ -26,7 +27,7 @@ class TrajectoryTable:
 
     def write(self, result: FrameResult) -> None:
         pose = _position_quaternion(result.ego.T_world_imu)
-        fields = (format_seconds(result.timestamp_ns), *pose)
+        fields = (ns_to_seconds(result.timestamp_ns), *pose)
         self._file.append(format_rows("%s" + " %.9f" * 7, [fields]))
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.kalibr import read_kalibr
 from ovmot.datasets.registry import open_sequence, recognise
 from ovmot.errors import InputError

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.calibration import Calibration
 from ovmot.errors import InputError, OvmotError
 from ovmot.ros.inputs import (
     IMAGES_QUEUED,

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.calibration import Calibration
 from ovmot.errors import InputError
 from ovmot.ros.inputs import (
     IMAGES_QUEUED,

@@ -10,11 +10,11 @@ from typing import Protocol
 
 import numpy as np
 
+from ovmot import Odometry
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.bag.images import stored_image
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.geometry.arrays import Image
-from ovmot.odometry import Odometry
 from ovmot.outputs.tracks_overlay import Trails
 from ovmot.outputs.video import compose
 from ovmot.ros.intake import Batch, Intake, WaitingPair

@@ -4,8 +4,8 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
-from ovmot.cameras.calibration import Calibration
-from ovmot.odometry import Odometry
+from ovmot import Odometry
+from ovmot.datasets.calibration import Calibration
 from ovmot.ros.inputs import InputTopic
 from ovmot.ros.intake import Intake
 from ovmot.ros.session import Session, Sink

@@ -13,26 +13,47 @@ from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.small_matrices import add_products, invert_symmetric, whiten, whiten_with
 from ovmot.kernels.stereo import project, secant, stereo_covariance, transform, triangulate
 
-_LEAST_DEPTH = 0.1  # metres, of a carried point
+_LEAST_DEPTH = 0.1  # metres, of a predicted point
+
+
+def triangulate_pairs(
+    pairs: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points (M, 3) of normalized stereo pairs (M, 4), and covariances (M, 3, 3); NaN for none.
+
+    `sigma` (4,): standard deviations of the normalized coordinates.
+    """
+    n = len(pairs)
+    p, C = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    found = np.empty(3)
+    for k in range(n):
+        if triangulate(pairs[k], T_cam1_cam0, found):
+            for a in range(3):
+                p[k, a] = found[a]
+            stereo_covariance(found, T_cam1_cam0, sigma, C[k])
+    return p, C
 
 
 def compare_points(
+    p_then: FloatArray,
+    cov_then: FloatArray,
     then: FloatArray,
+    p_now: FloatArray,
     now: FloatArray,
     T_now_then: FloatArray,
     ego: FloatArray,
     T_cam1_cam0: FloatArray,
     sigma: FloatArray,
-    drift: float,
+    drift: FloatArray,
     drift_per_flow: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """What `comparison.Comparison` holds: predicted, residual, J, J_motion, S, S_motion.
+    """What `StaticComparison` holds: predicted, residual, J, J_motion, S, S_motion.
 
-    `then` (L, N, 4), `now` (N, 4): plane coordinates; `T_now_then` (L, 4, 4) of the left camera.
-    `ego` (L, 6, 6): covariance of (φ, τ), by which the ego motion's error moves a carried point p
-    as [p]x φ + τ. `sigma` (4,), `drift`: standard deviations, plane units; `drift_per_flow` of the
-    way in the left image. C = R C_then Rᵀ + ego's part; S = J C Jᵀ + noise, at the predicted and
-    at the present place.
+    The first five are those of a `StereoHistory`; `T_now_then` (L, 4, 4) of the left camera. `ego`
+    (L, 6, 6): covariance of (φ, τ), by which the ego motion's error moves a predicted point p as
+    [p]x φ + τ. `sigma` (4,), `drift` (L,): standard deviations in normalized units of the pixels
+    and of a tracked patch; `drift_per_flow` of the way in the left image. With
+    C = R C_then Rᵀ + ego's part, S = J C Jᵀ + noise, at the predicted and at the present place.
     """
     n_rows, n_points = then.shape[:2]
     predicted, residual = np.full((n_rows, n_points, 3), np.nan), np.full(then.shape, np.nan)
@@ -44,30 +65,28 @@ def compare_points(
         np.full((n_rows, n_points, 4, 4), np.nan),
         np.full((n_rows, n_points, 4, 4), np.nan),
     )
-    p_then, p_now, h = np.empty(3), np.empty(3), np.empty(4)
-    C_then, C, J_now = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 3))
+    h, C, J_now = np.empty(4), np.empty((3, 3)), np.empty((4, 3))
     for n in range(n_points):
-        if not triangulate(now[n], T_cam1_cam0, p_now):
+        if not math.isfinite(p_now[n, 2]):
             continue
-        project(p_now, T_cam1_cam0, h, J_now)
+        project(p_now[n], T_cam1_cam0, h, J_now)
         for row in range(n_rows):
-            if not triangulate(then[row, n], T_cam1_cam0, p_then):
+            if not math.isfinite(p_then[row, n, 2]):
                 continue
             T, p = T_now_then[row], predicted[row, n]
-            transform(T, p_then, p)
+            transform(T, p_then[row, n], p)
             if not p[2] > _LEAST_DEPTH:
                 p[0] = p[1] = p[2] = np.nan
                 continue
-            stereo_covariance(p_then, T_cam1_cam0, sigma, C_then)
-            carried_covariance(T, C_then, p, ego[row], C)
+            predicted_covariance(T, cov_then[row, n], p, ego[row], C)
             project(p, T_cam1_cam0, h, J[row, n])
             flow = math.hypot(now[n, 0] - then[row, n, 0], now[n, 1] - then[row, n, 1])
-            drifted = drift**2 + (drift_per_flow * flow) ** 2
+            drifted = drift[row] ** 2 + (drift_per_flow * flow) ** 2
             image_covariance(J[row, n], C, sigma, drifted, S[row, n])
             image_covariance(J_now, C, sigma, drifted, S_motion[row, n])
             for i in range(4):
                 residual[row, n, i] = now[n, i] - h[i]
-            secant(p, p_now, T_cam1_cam0, J_motion[row, n])
+            secant(p, p_now[n], T_cam1_cam0, J_motion[row, n])
     return predicted, residual, J, J_motion, S, S_motion
 
 
@@ -141,36 +160,32 @@ def weigh(
     return weight, information
 
 
-def displace(
-    then: FloatArray,
-    p_now: FloatArray,
-    T_now_then: FloatArray,
-    T_cam1_cam0: FloatArray,
-    sigma: FloatArray,
+def distance_from_static(
+    p_then: FloatArray, p_now: FloatArray, cov_now: FloatArray, T_now_then: FloatArray
 ) -> FloatArray:
-    """Roughly, how many squared sigmas (N,) a point lies off rest since the oldest row it has.
+    """Roughly, the squared Mahalanobis distance (N,) of points from where static ones would be.
 
-    `then` (L, N, 4), oldest first; `p_now` (N, 3) in the left camera. Axes apart and with today's
-    covariance for both times: quick, to spare most points the rest.
+    Since the oldest time of a point's history: `p_then` (L, N, 3), oldest first; `p_now` (N, 3)
+    with covariance (N, 3, 3). Axes apart and with the present covariance for both times: quick, to
+    spare most points the full comparison.
     """
-    n_rows, n_points = then.shape[:2]
-    off = np.zeros(n_points)
-    p, q, C = np.empty(3), np.empty(3), np.empty((3, 3))
+    n_rows, n_points = p_then.shape[:2]
+    distance = np.zeros(n_points)
+    q = np.empty(3)
     for n in range(n_points):
         if not math.isfinite(p_now[n, 2]):
             continue
         for row in range(n_rows):
-            if triangulate(then[row, n], T_cam1_cam0, p):
-                transform(T_now_then[row], p, q)
-                stereo_covariance(p_now[n], T_cam1_cam0, sigma, C)
+            if math.isfinite(p_then[row, n, 2]):
+                transform(T_now_then[row], p_then[row, n], q)
                 for a in range(3):
-                    off[n] += (q[a] - p_now[n, a]) ** 2 / (2.0 * C[a, a])
+                    distance[n] += (q[a] - p_now[n, a]) ** 2 / (2.0 * cov_now[n, a, a])
                 break
-    return off
+    return distance
 
 
 @part
-def carried_covariance(
+def predicted_covariance(
     T: FloatArray, C_then: FloatArray, p: FloatArray, ego: FloatArray, C: FloatArray
 ) -> None:
     """C (3, 3) = R C_then Rᵀ + B ego Bᵀ, B = ([p]x, I)."""
@@ -197,7 +212,7 @@ def carried_covariance(
 def image_covariance(
     J: FloatArray, C: FloatArray, sigma: FloatArray, drifted: float, S: FloatArray
 ) -> None:
-    """S (4, 4) = J C Jᵀ + diag(sigma²) + slid I."""
+    """S (4, 4) = J C Jᵀ + diag(sigma²) + drifted I."""
     for i in range(4):
         x = J[i, 0] * C[0, 0] + J[i, 1] * C[1, 0] + J[i, 2] * C[2, 0]
         y = J[i, 0] * C[0, 1] + J[i, 1] * C[1, 1] + J[i, 2] * C[2, 1]
@@ -218,7 +233,8 @@ def widen(S: FloatArray, J: FloatArray, slack: float, out: FloatArray) -> None:
 
 
 _FOLDER = code_folder(Path(__file__))
+triangulate_pairs_compiled = compiled(triangulate_pairs, _FOLDER)
 compare_points_compiled = compiled(compare_points, _FOLDER)
 fit_velocities_compiled = compiled(fit_velocities, _FOLDER)
 weigh_compiled = compiled(weigh, _FOLDER)
-displace_compiled = compiled(displace, _FOLDER)
+distance_from_static_compiled = compiled(distance_from_static, _FOLDER)

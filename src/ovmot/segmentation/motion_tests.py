@@ -1,26 +1,26 @@
-"""Does a point move? The covariance-scaled test and the fixed thresholds.
+"""Is a point dynamic? The covariance-scaled test and the fixed thresholds.
 
-Both take the `Evidence` of a frame and answer per feature; neither knows of tracks or images.
+Both take the `Evidence` of a frame and answer per feature; neither knows of tracks or images. A
+further test is one more function and a line in `MOTION_TESTS`.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.physics import ACCEL_SIGMA_MPS2, gate, gates
 from ovmot.segmentation.history_kernel import fit_velocities_compiled
 from ovmot.segmentation.neighbour_consensus import neighbours_with_same_velocity
-from ovmot.segmentation.stereo_history import Comparison
+from ovmot.segmentation.static_comparison import StaticComparison
 from ovmot.settings import SegmentationSettings
 
-_FORGIVEN_ACCEL = 3.0  # m/s²: what a road user's motion may depart from constant velocity
-_FIT_SLACK = 2.0  # on the bound of the constant-velocity fit, for patches that slide
-_WEAK_PROBABILITY = 0.99  # of rest, for a point whose neighbours are seen to move
-_MIN_NEIGHBOURS = 1  # that a moving point must have
-_MIN_FRESH_NEIGHBOURS = 2  # of a point that was seen but once before
-_MIN_STRONG_NEIGHBOURS = 2  # that make a weak case a moving point
+SHARED_NOISE = 2.0
+"""By how much the squared residuals of a fit over several times may exceed chi-squared: all times
+share the present pair's pixels, so that their errors are not independent."""
+_MIN_CONSENSUS = 2
+"""Neighbours that must move alike where a point's own case is weak or rests on one comparison."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Evidence:
     covariance (N, 3, 3), and over the last interval the weighted distance (N,) in metres and the
     reprojection error (N,) in pixels."""
 
-    comparison: Comparison
+    comparison: StaticComparison
     p_cam0: FloatArray
     cov_cam0: FloatArray
     distance_m: FloatArray
@@ -46,7 +46,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class RestTest:
+class StaticTest:
     """Of N points: the largest squared distance from rest over the earlier rows (N,), the number
     of rows compared (N,), one velocity (N, 3) in m/s in the camera's axes that fits them all, its
     covariance (N, 3, 3), and whether it explains what was seen (N,)."""
@@ -70,25 +70,26 @@ def covariance_test(evidence: Evidence, settings: SegmentationSettings) -> Verdi
     and two neighbours must share it. Where rest is out of the question without that, a wrong match
     is as likely as a motion: unclear.
     """
-    rest = examine_rest(evidence.comparison, settings)
-    tested = rest.rows > 0
-    impossible = tested & (rest.distance > chdtri(4, settings.false_alarm))
-    unlikely = tested & (rest.distance > chdtri(4, 1.0 - _WEAK_PROBABILITY))
-    steady = rest.explained & (rest.rows >= 2)
+    static = examine_static(evidence.comparison, settings)
+    tested = static.rows > 0
+    false_alarm = settings.false_alarm
+    impossible = tested & (static.distance > gate(4, 1.0 - false_alarm))
+    unlikely = tested & (static.distance > gate(4, 0.99))
+    steady = static.explained & (static.rows >= 2)
     strong, weak = impossible & steady, unlikely & steady
-    certain = rest.distance > chdtri(4, settings.false_alarm**2)
-    fresh = certain & rest.explained & (rest.rows == 1)
+    certain = static.distance > gate(4, 1.0 - false_alarm**2)
+    fresh = certain & static.explained & (static.rows == 1)
     alike = neighbours_with_same_velocity(
-        evidence.p_cam0, evidence.cov_cam0, rest.velocity, rest.covariance, weak | fresh
+        evidence.p_cam0, evidence.cov_cam0, static.velocity, static.covariance, weak | fresh
     )
-    supported = alike.sum(1) >= _MIN_NEIGHBOURS
-    carried = (alike & strong[None, :]).sum(1) >= _MIN_STRONG_NEIGHBOURS
-    company = (alike & (strong | fresh)[None, :]).sum(1) >= _MIN_FRESH_NEIGHBOURS
-    moving = (strong & supported) | (weak & carried) | (fresh & company)
+    any_neighbour = alike.any(axis=1)
+    by_strong = (alike & strong[None, :]).sum(axis=1) >= _MIN_CONSENSUS
+    by_both = (alike & (strong | fresh)[None, :]).sum(axis=1) >= _MIN_CONSENSUS
+    moving = (strong & any_neighbour) | (weak & by_strong) | (fresh & by_both)
     return Verdict(tested, moving, impossible & ~moving)
 
 
-def examine_rest(comparison: Comparison, settings: SegmentationSettings) -> RestTest:
+def examine_static(comparison: StaticComparison, settings: SegmentationSettings) -> StaticTest:
     """Squared distances from rest, and the velocity that fits all earlier rows best.
 
     Under rest r ~ N(0, S + J Jᵀ (s Δt)²), where s forgives slow drifts of the ego motion; under
@@ -100,16 +101,16 @@ def examine_rest(comparison: Comparison, settings: SegmentationSettings) -> Rest
     S = np.where(tested[..., None, None], comparison.S, np.eye(4))
     JJt = J @ np.swapaxes(J, -1, -2)
     span = comparison.span_s[:, None]
-    S_rest = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
-    distance = np.where(tested, _quadratic(S_rest, r), 0.0).max(0)
-    slack = (0.5 * _FORGIVEN_ACCEL * comparison.span_s**2) ** 2
+    S_static = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
+    distance = np.where(tested, _quadratic(S_static, r), 0.0).max(0)
+    slack = (0.5 * ACCEL_SIGMA_MPS2 * comparison.span_s**2) ** 2
     velocity, covariance, cost = fit_velocities_compiled(
         comparison.residual, comparison.J_motion, comparison.S, comparison.J, slack,
         comparison.span_s, tested,
     )  # fmt: skip
     rows = tested.sum(0)
-    explained = cost < _FIT_SLACK * chdtri(np.maximum(4 * rows - 3, 1), 0.001)
-    return RestTest(distance, rows, velocity, covariance, explained)
+    explained = cost < SHARED_NOISE * gates(np.maximum(4 * rows - 3, 1), 0.999)
+    return StaticTest(distance, rows, velocity, covariance, explained)
 
 
 def fixed_test(evidence: Evidence, settings: SegmentationSettings) -> Verdict:

@@ -1,125 +1,136 @@
-"""Stereo points then and now, compared under the ego motion.
+"""The stereo history of a frame: every feature's triangulated positions, now and at earlier times.
 
-Both positions come from stereo alone: a moving point can not be refined by repeated views. A
-point p_then, carried by the ego motion into the present left camera, should be seen where the
-present stereo pair sees it, if it stood still.
+Built once a frame and used by whatever asks how a point has moved: the tests of the segmentation,
+zero-velocity detection, and the clustering of moving points. Positions come from one stereo pair
+each, since a moving point cannot be refined by repeated views; they are in the left camera of
+their own time, so that they do not depend on the poses.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.segmentation.history_kernel import compare_points_compiled
-from ovmot.types import PoseWindow
+from ovmot.feature_table import FeatureTable
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.segmentation.history_kernel import triangulate_pairs_compiled
+from ovmot.types import PixelNoise
 
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """L earlier rows against now, for N features; NaN where a feature was not seen in stereo.
-
-    `span_s` (L,): time between. `predicted` (L, N, 3): the earlier point carried into the present
-    left camera, metres. `residual` (L, N, 4): observed minus predicted plane coordinates of both
-    views; `J` (L, N, 4, 3): derivative of the prediction by the point; `J_motion` (L, N, 4, 3):
-    residual = J_motion (position now - predicted), exactly, however far the point has gone;
-    `S` (L, N, 4, 4): covariance of the residual for a point at rest (pixels then and now, and the
-    ego motion), `S_motion` the same for one that has gone to where it is seen now.
-    """
-
-    span_s: FloatArray
-    predicted: FloatArray
-    residual: FloatArray
-    J: FloatArray
-    J_motion: FloatArray
-    S: FloatArray
-    S_motion: FloatArray
-
-    @property
-    def tested(self) -> BoolArray:
-        """Which comparisons (L, N) exist."""
-        usable = np.isfinite(self.residual).all(-1) & np.isfinite(self.S).all((-1, -2))
-        return np.asarray(usable)
+_TOLERANCE = 0.3  # of a look-back time, by which a frame may miss it
 
 
 @dataclass(frozen=True, slots=True)
 class StereoHistory:
-    """Stereo pairs of N features at L earlier frames and now, as plane coordinates.
+    """Stereo pairs and positions of N features at L earlier frames, oldest first, and now.
 
-    `then` (L, N, 4), `now` (N, 4); `clone_index` (L,): the pose of each earlier frame in the
-    window; `span_s` (L,): how long ago.
+    `feature_id` (N,); `row` (L,): rows of the feature table; `clone_ns` (L,): the clones that hold
+    their poses; `span_s` (L,) seconds and `n_frames` (L,) frames before now. `then` (L, N, 4) and
+    `now` (N, 4): normalized coordinates. `p_then` (L, N, 3), `p_now` (N, 3): positions in the left
+    camera of that time, metres, with covariances `cov_then` (L, N, 3, 3), `cov_now` (N, 3, 3). NaN
+    where there is no stereo pair. `noise`: that of the pixels, from which the covariances follow.
     """
 
+    feature_id: IntArray
+    row: IntArray
+    clone_ns: IntArray
+    span_s: FloatArray
+    n_frames: IntArray
     then: FloatArray
     now: FloatArray
-    clone_index: IntArray
-    span_s: FloatArray
+    p_then: FloatArray
+    cov_then: FloatArray
+    p_now: FloatArray
+    cov_now: FloatArray
+    noise: PixelNoise
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def younger(self, max_span_s: float) -> "StereoHistory":
+        """The history without the frames that are longer ago."""
+        kept = self.span_s < max_span_s + 0.5 * _TOLERANCE * self.span_s.min(initial=max_span_s)
+        return replace(
+            self,
+            row=self.row[kept],
+            clone_ns=self.clone_ns[kept],
+            span_s=self.span_s[kept],
+            n_frames=self.n_frames[kept],
+            then=self.then[kept],
+            p_then=self.p_then[kept],
+            cov_then=self.cov_then[kept],
+        )
+
+    def only(self, index: IntArray) -> "StereoHistory":
+        """The history of some features."""
+        return replace(
+            self,
+            feature_id=self.feature_id[index],
+            then=self.then.take(index, axis=1),
+            now=self.now[index],
+            p_then=self.p_then.take(index, axis=1),
+            cov_then=self.cov_then.take(index, axis=1),
+            p_now=self.p_now[index],
+            cov_now=self.cov_now[index],
+        )
 
 
-@dataclass(frozen=True, slots=True)
-class PatchDrift:
-    """How far a followed patch slides, standard deviation: `px` pixels, and `per_flow` of its way
-    through the image."""
-
-    px: float
-    per_flow: float
-
-
-def compare(
-    history: StereoHistory,
-    window: PoseWindow,
+def stereo_history(
+    table: FeatureTable,
+    feature_id: IntArray,
+    window_ns: IntArray,
     rig: StereoRig,
-    sigma_px: float,
-    drift: PatchDrift,
-) -> Comparison:
-    """Carry the earlier points into the present camera and compare, with covariances.
+    look_back_s: tuple[float, ...],
+    noise: PixelNoise,
+) -> StereoHistory:
+    """The history of features (N,) of the table's last row.
 
-    C_predicted = R C_then Rᵀ + (ego motion's part); S = J C_predicted Jᵀ + pixel noise now + what
-    a followed patch slides as its view changes.
+    `window_ns` (K,): stamps of the clones whose poses are known; only frames that one of them holds
+    are looked at: those nearest to the `look_back_s`, and the last one.
     """
-    return Comparison(
-        history.span_s,
-        *compare_points_compiled(
-            np.ascontiguousarray(history.then),
-            np.ascontiguousarray(history.now),
-            carrying(history, window, rig),
-            _ego_covariance(history.clone_index, window, rig),
-            np.ascontiguousarray(rig.T_cam1_cam0),
-            rig.normalized_sigma(sigma_px),
-            drift.px / rig.cam0.fx,
-            drift.per_flow,
-        ),
-    )
+    row = look_back_rows(table, window_ns, look_back_s)
+    column = table.columns(feature_id)
+    age_ns = table.frame_ns[-1] - table.frame_ns[row]
+    return history_of(
+        table.normalized[row].take(column, axis=1), table.normalized[-1, column], feature_id,
+        row, table.clone_ns[row], age_ns * 1e-9, len(table.frame_ns) - 1 - row, rig, noise,
+    )  # fmt: skip
 
 
-def carrying(history: StereoHistory, window: PoseWindow, rig: StereoRig) -> FloatArray:
-    """Motions (L, 4, 4) of resting points from each earlier left camera into the present one."""
-    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
-    return se3.inverse(T_world_cam0[-1]) @ T_world_cam0[history.clone_index]
+def history_of(
+    then: FloatArray,
+    now: FloatArray,
+    feature_id: IntArray,
+    row: IntArray,
+    clone_ns: IntArray,
+    span_s: FloatArray,
+    n_frames: IntArray,
+    rig: StereoRig,
+    noise: PixelNoise,
+) -> StereoHistory:
+    """The history of normalized stereo pairs `then` (L, N, 4) and `now` (N, 4)."""
+    T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
+    sigma = rig.normalized_sigma(noise.sigma_px)
+    pairs = np.concatenate([then.reshape(-1, 4), now])
+    p, C = triangulate_pairs_compiled(pairs, T_cam1_cam0, sigma)
+    n_then = then.shape[0] * then.shape[1]
+    return StereoHistory(
+        feature_id, row, clone_ns, span_s, n_frames, np.ascontiguousarray(then),
+        np.ascontiguousarray(now), p[:n_then].reshape(*then.shape[:2], 3),
+        C[:n_then].reshape(*then.shape[:2], 3, 3), p[n_then:], C[n_then:], noise,
+    )  # fmt: skip
 
 
-def _ego_covariance(clone_index: IntArray, window: PoseWindow, rig: StereoRig) -> FloatArray:
-    """Covariance (L, 6, 6) of (φ, τ): a carried point p of the present left camera goes by
-    [p]x φ + τ as the two poses err.
-
-    In the IMU's frame, with R = R_nᵀ R_t and t = R_nᵀ (t_t - t_n), p_now = R p_t + t goes by
-    [p_now]x (δθ_n - R δθ_t) + [t]x R δθ_t + R_nᵀ (δt_t - δt_n), poses perturbed on the right.
-    """
-    T_now, T_then = window.T_world_imu[-1], window.T_world_imu[clone_index]
-    relative = se3.inverse(T_now) @ T_then
-    R, t = relative[:, :3, :3], relative[:, :3, 3]
-    A = np.zeros((len(clone_index), 6, 12))
-    A[:, :3, :3], A[:, :3, 6:9] = np.eye(3), -R
-    A[:, 3:, 3:6], A[:, 3:, 9:] = -T_now[:3, :3].T, T_now[:3, :3].T
-    A[:, 3:, 6:9] = so3.hat(t) @ R
-    # into the camera's axes and about its centre
-    R_cam0_imu = rig.T_imu_cam0[:3, :3].T
-    A = np.concatenate([R_cam0_imu @ A[:, :3], R_cam0_imu @ A[:, 3:]], axis=1)
-    A[:, 3:] += so3.hat(R_cam0_imu @ rig.T_imu_cam0[:3, 3]) @ A[:, :3]
-    last = len(window.timestamp_ns) - 1
-    pose = np.column_stack([np.full_like(clone_index, last), clone_index])
-    index = (6 * pose[..., None] + np.arange(6)).reshape(-1, 12)
-    P = window.covariance[index[:, :, None], index[:, None, :]]
-    out: FloatArray = A @ P @ np.swapaxes(A, 1, 2)
-    return out
+def look_back_rows(
+    table: FeatureTable, window_ns: IntArray, look_back_s: tuple[float, ...]
+) -> IntArray:
+    """Earlier rows (L,) with a known pose, oldest first: near each look-back time, and the last."""
+    posed = np.isin(table.clone_ns, window_ns)
+    posed[-1] = False
+    rows = np.flatnonzero(posed)
+    if len(rows) == 0:
+        return rows
+    age_ns = table.frame_ns[-1] - table.frame_ns[rows]
+    wanted_ns = np.round(1e9 * np.array(look_back_s)).astype(np.int64)
+    apart = np.abs(age_ns[None] - wanted_ns[:, None])  # integers: rounding decides no tie
+    near = apart.min(1) < _TOLERANCE * wanted_ns
+    return np.unique(np.append(rows[apart.argmin(1)[near]], rows[-1]))

@@ -12,7 +12,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.settings import Section
 
 
-class CalibrationError(Section):
+class Miscalibration(Section):
     """How far a calibration is off; directions and signs are drawn, for each camera its own."""
 
     rotation_deg: float = Field(0.0, ge=0.0)
@@ -25,7 +25,7 @@ class CalibrationError(Section):
     """The clock's offset, too early or too late."""
 
 
-def miscalibrated(rig: StereoRig, error: CalibrationError, rng: np.random.Generator) -> StereoRig:
+def miscalibrated(rig: StereoRig, error: Miscalibration, rng: np.random.Generator) -> StereoRig:
     """What a calibration file would say that is off by these amounts."""
 
     def moved(T: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.pose_files import Trajectory, ns_to_seconds, read_tum
+from ovmot.datasets.pose_files import Trajectory, read_tum
+from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray

@@ -77,33 +77,6 @@ def resized(rig: StereoRig, size: tuple[int, int]) -> StereoRig:
     return replace(rig, cam0=_resized(rig.cam0, size), cam1=_resized(rig.cam1, size))
 
 
-def rectified(rig: StereoRig) -> StereoRig:
-    """Pinholes where the rig's cameras stand, both turned so that image rows agree.
-
-    x points from the left camera to the right one, z as near to the left camera's as can be.
-    """
-    p0, p1 = rig.T_imu_cam0[:3, 3], rig.T_imu_cam1[:3, 3]
-    x = (p1 - p0) / np.linalg.norm(p1 - p0)
-    y = np.cross(rig.T_imu_cam0[:3, 2], x)
-    y /= np.linalg.norm(y)
-    R_imu_rect = np.stack([x, y, np.cross(x, y)], axis=-1)
-    cam0, (fx, _, cx, cy, _) = rig.cam0, rig.cam0.intrinsics
-    camera = Camera.make((cam0.width, cam0.height), (fx, fx), (cx, cy))
-    poses = se3.make(R_imu_rect, p0), se3.make(R_imu_rect, p1)
-    return replace(rig, cam0=camera, cam1=camera, T_imu_cam0=poses[0], T_imu_cam1=poses[1])
-
-
-def without_distortion(rig: StereoRig) -> StereoRig:
-    """The same cameras with perfect lenses: `radtan` of zeros."""
-    cam0, cam1 = (
-        Camera.make(
-            (c.width, c.height), (c.fx, c.fy), tuple(c.intrinsics[2:4]), "radtan", [0.0] * 4
-        )
-        for c in rig.cameras
-    )
-    return replace(rig, cam0=cam0, cam1=cam1)
-
-
 def _resized(camera: Camera, size: tuple[int, int]) -> Camera:
     s = size[0] / camera.width
     fx, fy, cx, cy, skew = camera.intrinsics

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.camera import Camera
-from ovmot.cameras.models import LENSES
+from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.euroc.writer import write_asl
-from ovmot.datasets.pose_files import read_stamped_csv
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.text_tables import read_stamped_csv
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.sim.imu_errors import ImuErrors
+from ovmot.sim.recording import generators, imu_samples, record
 from ovmot.sim.render import render_stereo
-from ovmot.sim.sequence_files import generators, imu_samples
 from ovmot.sim.simulation import Simulation
 
 DISTORTION = {
@@ -30,7 +30,7 @@ SEED = 5
 
 
 def with_lens(camera: Camera, lens: str) -> Camera:
-    return replace(camera, lens=LENSES[lens], distortion=np.array(DISTORTION[lens]))
+    return replace(camera, lens=CAMERA_MODELS[lens], distortion=np.array(DISTORTION[lens]))
 
 
 @pytest.fixture(scope="module", params=sorted(DISTORTION))
@@ -50,7 +50,7 @@ def simulation(request: pytest.FixtureRequest, small_simulation: Simulation) -> 
 @pytest.fixture(scope="module")
 def written(simulation: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("asl") / "data"
-    assert list(write_asl(folder, simulation, SEED)) == simulation.camera_ns.tolist()
+    assert list(write_asl(folder, record(simulation, SEED))) == simulation.camera_ns.tolist()
     return folder
 
 
@@ -107,8 +107,8 @@ def test_truth_is_whole(written: Path, simulation: Simulation) -> None:
 
 
 def test_same_seed_same_bytes(written: Path, simulation: Simulation, tmp_path: Path) -> None:
-    list(write_asl(tmp_path / "again", simulation, SEED))
-    list(write_asl(tmp_path / "other", simulation, SEED + 1))
+    list(write_asl(tmp_path / "again", record(simulation, SEED)))
+    list(write_asl(tmp_path / "other", record(simulation, SEED + 1)))
     names = sorted(p.relative_to(written) for p in written.rglob("*") if p.is_file())
     assert len(names) > 20
     assert all((written / n).read_bytes() == (tmp_path / "again" / n).read_bytes() for n in names)
@@ -120,7 +120,7 @@ def test_an_imu_without_noise_can_be_read(small_simulation: Simulation, tmp_path
     silent = replace(small_simulation.imu.noise, gyro=0.0)
     imu = replace(small_simulation.imu, noise=silent)
     one = replace(small_simulation, imu=imu, camera_ns=small_simulation.camera_ns[:1])
-    list(write_asl(tmp_path, one, SEED))
+    list(write_asl(tmp_path, record(one, SEED)))
     assert open_sequence(tmp_path).imu_noise is None
 
 
@@ -130,9 +130,9 @@ def test_refuses_full_folders_and_cameras_that_the_format_can_not_hold(
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("")
     with pytest.raises(InputError, match="not an empty folder"):
-        next(write_asl(tmp_path / "full", small_simulation, SEED))
+        next(write_asl(tmp_path / "full", record(small_simulation, SEED)))
     skewed = Camera.make((160, 70), (100, 100), (80, 35), "none", skew=0.1)
     rig = replace(small_simulation.rig, cam1=skewed)
     with pytest.raises(InputError, match=r"skew of 0\.1"):
-        next(write_asl(tmp_path / "new", replace(small_simulation, rig=rig), SEED))
+        next(write_asl(tmp_path / "new", record(replace(small_simulation, rig=rig), SEED)))
     assert not (tmp_path / "new").exists()

@@ -12,13 +12,13 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.kaist.writer import write_kaist
-from ovmot.datasets.pose_files import read_stamped_csv
 from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.text_tables import read_stamped_csv
 from ovmot.errors import InputError
 from ovmot.geometry import so3
 from ovmot.sim.imu_errors import ImuErrors
+from ovmot.sim.recording import generators, imu_samples, imu_times, record
 from ovmot.sim.render import render_stereo
-from ovmot.sim.sequence_files import generators, imu_samples, imu_times
 from ovmot.sim.simulation import Simulation
 
 
@@ -26,7 +26,8 @@ from ovmot.sim.simulation import Simulation
 def written(small_simulation: Simulation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("kaist") / "data"
     assert (
-        list(write_kaist(folder, small_simulation, seed=1)) == small_simulation.camera_ns.tolist()
+        list(write_kaist(folder, record(small_simulation, 1)))
+        == small_simulation.camera_ns.tolist()
     )
     return folder
 
@@ -73,7 +74,7 @@ def test_the_imu_file_holds_the_simulated_samples_and_no_lost_ones(
         imu=replace(small_simulation.imu, errors=errors),
         camera_ns=small_simulation.camera_ns[:1],
     )
-    list(write_kaist(tmp_path, simulation, seed=4))
+    list(write_kaist(tmp_path, record(simulation, 4)))
     imu = imu_samples(simulation, generators(4)[1]).data
     table = read_stamped_csv(tmp_path / "sensor_data/xsens_imu.csv", 17)
     np.testing.assert_array_equal(table.timestamp_ns, imu.timestamp_ns)
@@ -118,8 +119,8 @@ def test_global_pose_is_the_vehicle_s(written: Path, small_simulation: Simulatio
 def test_same_seed_same_bytes(written: Path, small_simulation: Simulation, tmp_path: Path) -> None:
     simulation = small_simulation
     again, other = tmp_path / "again", tmp_path / "other"
-    list(write_kaist(again, simulation, seed=1))
-    list(write_kaist(other, simulation, seed=2))
+    list(write_kaist(again, record(simulation, 1)))
+    list(write_kaist(other, record(simulation, 2)))
     names = sorted(p.relative_to(written) for p in written.rglob("*") if p.is_file())
     assert len(names) > 20
     assert all((written / n).read_bytes() == (again / n).read_bytes() for n in names)
@@ -131,11 +132,11 @@ def test_refuses_full_folders_and_other_lenses(
 ) -> None:
     simulation = small_simulation
     with pytest.raises(InputError, match="not an empty folder"):
-        next(write_kaist(written, simulation, seed=1))
+        next(write_kaist(written, record(simulation, 1)))
     fisheye = Camera.make((160, 70), (100, 100), (80, 35), "equidistant", [0.0, 0.0, 0.0, 0.0])
     rig = replace(simulation.rig, cam1=fisheye)
     with pytest.raises(InputError, match="equidistant"):
-        next(write_kaist(tmp_path / "new", replace(simulation, rig=rig), seed=1))
+        next(write_kaist(tmp_path / "new", record(replace(simulation, rig=rig), 1)))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        next(write_kaist(tmp_path / "file" / "below", simulation, seed=1))
+        next(write_kaist(tmp_path / "file" / "below", record(simulation, 1)))

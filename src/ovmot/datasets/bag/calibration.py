@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.datasets.bag.file import Bag
 from ovmot.datasets.bag.topics import FoundTopics
+from ovmot.datasets.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.datasets.camera_info import read_camera, right_from_left
 from ovmot.datasets.kalibr import is_mount, read_kalibr, read_kalibr_mount
 from ovmot.errors import CalibrationError

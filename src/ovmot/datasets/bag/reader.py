@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets.bag.calibration import bag_calibration
 from ovmot.datasets.bag.file import Bag, BagMessage
 from ovmot.datasets.bag.images import stored_image
 from ovmot.datasets.bag.topics import BagTopics, FoundTopics, find_topics
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import paired_stamps
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.pose_files import StampedTable
 from ovmot.datasets.sequence import RecordedSequence, StoredImage, StoredPair, covered_frames
+from ovmot.datasets.text_tables import StampedTable
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData

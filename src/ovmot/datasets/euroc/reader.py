@@ -2,16 +2,15 @@
 
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets.asl import (
     asl_imu,
     asl_listing,
     mav_folder,
-    refuse_choice,
     sensor_calibration,
     sequence_folder,
 )
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.calibration import Calibration
+from ovmot.datasets.findings import Findings, refuse_choice
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.tum_vi.reader import TumViReader

@@ -11,33 +11,29 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ovmot.cameras.calibration import NOISE_KEYS
 from ovmot.cameras.camera import Camera
-from ovmot.errors import InputError
-from ovmot.geometry import so3
-from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.sim.imu import SimulatedImu
-from ovmot.sim.sequence_files import (
+from ovmot.datasets.asl import write_asl_imu, write_listed
+from ovmot.datasets.calibration import NOISE_KEYS
+from ovmot.datasets.writing import (
+    ImuToWrite,
+    SequenceToWrite,
     by_stamp,
-    generators,
-    imu_samples,
     make_folders,
     truth_times,
+    writable,
     write_frames,
     write_imu_truth,
     write_rows,
 )
-from ovmot.sim.simulation import Simulation
+from ovmot.errors import InputError
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray, IntArray
 
 MODEL_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant", "none": "none"}
 """Our names of the lens models, and those of `sensor.yaml`."""
 
 _LEFT, _RIGHT, _IMU = "mav0/cam0", "mav0/cam1", "mav0/imu0"
 _STATES = "mav0/state_groundtruth_estimate0"
-_IMU_HEADER = (
-    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
-    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
-)
 _STATES_HEADER = (
     "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
     "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],"
@@ -46,7 +42,7 @@ _STATES_HEADER = (
 )
 
 
-def write_asl(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_asl(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write the sequence; yields each frame's time in ns when it is on disk.
 
     `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
@@ -55,12 +51,10 @@ def write_asl(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
     Raises `InputError` where the folder is not empty or not writable, or where a camera has what
     `sensor.yaml` cannot hold: an unknown lens, or skew.
     """
-    for camera in simulation.rig.cameras:
+    for camera in sequence.rig.cameras:
         _check_camera(folder, camera)
-    try:
-        yield from _write_sequence(folder, simulation, seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    with writable(folder):
+        yield from _write_sequence(folder, sequence)
 
 
 def _check_camera(folder: Path, camera: Camera) -> None:
@@ -73,34 +67,21 @@ def _check_camera(folder: Path, camera: Camera) -> None:
         raise InputError.at(folder, problem, "use cameras without skew")
 
 
-def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
-    rig = simulation.rig
+def _write_sequence(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
+    rig = sequence.rig
     left, right = folder / _LEFT / "data", folder / _RIGHT / "data"
     make_folders(folder, (f"{_LEFT}/data", f"{_RIGHT}/data", _IMU, _STATES))
-    frame_hz = _rate(simulation.camera_ns)
+    frame_hz = _rate(sequence.camera_ns)
     for name, camera, T_imu_cam in (
         (_LEFT, rig.cam0, rig.T_imu_cam0),
         (_RIGHT, rig.cam1, rig.T_imu_cam1),
     ):
-        _write_camera(folder / name, camera, T_imu_cam, frame_hz, simulation.camera_ns)
-    imu = imu_samples(simulation, imu_rng)
-    _write_imu(folder / _IMU, simulation, imu)
-    _write_states(folder / _STATES, simulation, imu)
-    write_imu_truth(folder, simulation, imu)
-    yield from write_frames(folder, simulation, by_stamp(left, right), picture_rng)
-
-
-def write_listed(camera: Path, camera_ns: IntArray) -> None:
-    """`data.csv` of a camera: stamps and file names."""
-    rows = "".join(f"{t},{t}.png\n" for t in camera_ns)
-    (camera / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}", encoding="utf-8")
-
-
-def write_asl_imu(path: Path, imu: SimulatedImu) -> None:
-    """`data.csv` of the IMU: ns, gyro, accel."""
-    values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
-    write_rows(path, imu.data.timestamp_ns, values, _IMU_HEADER)
+        _write_camera(folder / name, camera, T_imu_cam, frame_hz, sequence.camera_ns)
+    imu = sequence.imu
+    _write_imu(folder / _IMU, imu)
+    _write_states(folder / _STATES, sequence)
+    write_imu_truth(folder, imu)
+    yield from write_frames(folder, sequence, rig, by_stamp(left, right))
 
 
 def _write_camera(
@@ -121,27 +102,27 @@ def _write_camera(
     _write_yaml(folder / "sensor.yaml", values)
 
 
-def _write_imu(folder: Path, simulation: Simulation, imu: SimulatedImu) -> None:
+def _write_imu(folder: Path, imu: ImuToWrite) -> None:
     """data.csv, and sensor.yaml where the IMU has noise: readers refuse densities of zero."""
     write_asl_imu(folder / "data.csv", imu)
-    noise = {key: getattr(simulation.imu.noise, name) for name, key in NOISE_KEYS.items()}
+    noise = {key: getattr(imu.noise, name) for name, key in NOISE_KEYS.items()}
     if min(noise.values()) > 0.0:
         sensor = {"sensor_type": "imu", "comment": "simulated", "T_BS": _matrix(np.eye(4))}
-        _write_yaml(folder / "sensor.yaml", {**sensor, "rate_hz": simulation.imu.rate_hz, **noise})
+        _write_yaml(folder / "sensor.yaml", {**sensor, "rate_hz": imu.rate_hz, **noise})
 
 
-def _write_states(folder: Path, simulation: Simulation, imu: SimulatedImu) -> None:
+def _write_states(folder: Path, sequence: SequenceToWrite) -> None:
     """True pose, velocity in the world and biases; between IMU samples these are interpolated."""
-    times = truth_times(simulation)
-    T_world_imu = simulation.path.pose(times)
+    times, imu = truth_times(sequence), sequence.imu
+    T_world_imu = sequence.path.pose(times)
     wxyz = so3.to_quaternion(T_world_imu[:, :3, :3])[:, [3, 0, 1, 2]]
     biases = np.concatenate([imu.gyro_bias, imu.accel_bias], axis=1)
     start_ns = int(times[0])
-    at = times - start_ns + round(1e9 * simulation.rig.time_offset_s)
+    at = times - start_ns + round(1e9 * sequence.rig.time_offset_s)
     known = imu.data.timestamp_ns - start_ns
     bias = np.stack([np.interp(at, known, column) for column in biases.T], axis=-1)
     states = np.concatenate(
-        [T_world_imu[:, :3, 3], wxyz, simulation.path.velocity(times), bias], axis=1
+        [T_world_imu[:, :3, 3], wxyz, sequence.path.velocity(times), bias], axis=1
     )
     write_rows(folder / "data.csv", times, states, _STATES_HEADER)
     values = {"sensor_type": "visual-inertial", "comment": "simulated", "T_BS": _matrix(np.eye(4))}

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration, load_calibration_yaml, make_rig
 from ovmot.cameras.camera import Camera
-from ovmot.datasets.asl import note_no_imu, note_no_imu_noise, refuse_choice
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.calibration import Calibration, load_calibration_yaml, make_rig
+from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
     StereoListing,
     checked_stamps,
@@ -27,9 +26,8 @@ from ovmot.datasets.frames import (
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kalibr import read_kalibr_noise
-from ovmot.datasets.pose_files import read_lines
 from ovmot.datasets.sequence import FolderSequence, assemble
-from ovmot.datasets.text_tables import read_stamped_list, read_stamped_text
+from ovmot.datasets.text_tables import read_lines, read_stamped_list, read_stamped_text
 from ovmot.errors import CalibrationError, InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray

@@ -5,55 +5,48 @@ driving", GCPR 2020. Pictures are undistorted and rectified, whatever the rig's 
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
-from ovmot.datasets.pose_files import ns_to_seconds
-from ovmot.errors import InputError
-from ovmot.geometry import se3, so3
-from ovmot.sim.rigs import rectified
-from ovmot.sim.sequence_files import (
+from ovmot.cameras.rig import StereoRig, rectified
+from ovmot.datasets.text_tables import ns_to_seconds
+from ovmot.datasets.writing import (
+    SequenceToWrite,
     by_stamp,
-    generators,
-    imu_samples,
     make_folders,
+    writable,
     write_frames,
     write_imu_truth,
     write_rows,
     write_true_poses,
 )
-from ovmot.sim.simulation import Simulation
+from ovmot.geometry import se3, so3
 
 _LEFT, _RIGHT = "undistorted_images/cam0", "undistorted_images/cam1"
 
 
-def write_four_seasons(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_four_seasons(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write the recording, as `write_asl`.
 
     Raises `InputError` where the folder is not empty or not writable.
     """
-    try:
-        yield from _write(folder, replace(simulation, rig=rectified(simulation.rig)), seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    with writable(folder):
+        yield from _write(folder, sequence, rectified(sequence.rig))
 
 
-def _write(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
+def _write(folder: Path, sequence: SequenceToWrite, rig: StereoRig) -> Iterator[int]:
     make_folders(folder, (_LEFT, _RIGHT, "calibration"))
-    rows = (f"{t} {ns_to_seconds(t)} 5.0\n" for t in simulation.camera_ns.tolist())
+    rows = (f"{t} {ns_to_seconds(t)} 5.0\n" for t in sequence.camera_ns.tolist())
     (folder / "times.txt").write_text("".join(rows))
-    imu = imu_samples(simulation, imu_rng)
+    imu = sequence.imu
     values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
     write_rows(folder / "imu.txt", imu.data.timestamp_ns, values, separator=" ")
-    _write_calibration(folder, simulation.rig)
-    write_imu_truth(folder, simulation, imu)
-    write_true_poses(folder, simulation)
+    _write_calibration(folder, rig)
+    write_imu_truth(folder, imu)
+    write_true_poses(folder, sequence)
     save = by_stamp(folder / _LEFT, folder / _RIGHT)
-    yield from write_frames(folder, simulation, save, picture_rng)
+    yield from write_frames(folder, sequence, rig, save)
 
 
 def _write_calibration(folder: Path, rig: StereoRig) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import (
+from ovmot.datasets.calibration import (
     Calibration,
     CalibrationNode,
     load_calibration_yaml,

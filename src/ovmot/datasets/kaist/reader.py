@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
-from ovmot.datasets.asl import note_no_imu, refuse_choice
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.calibration import Calibration
+from ovmot.datasets.findings import Findings, note_no_imu, refuse_choice
 from ovmot.datasets.frames import (
     StereoListing,
     checked_stamps,
@@ -17,8 +16,12 @@ from ovmot.datasets.frames import (
 from ovmot.datasets.images import read_bayer_as_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kaist.calibration import read_kaist_calibration
-from ovmot.datasets.pose_files import column_count, read_stamped_csv, read_stamped_names
 from ovmot.datasets.sequence import FolderSequence, assemble
+from ovmot.datasets.text_tables import (
+    column_count,
+    read_stamped_csv,
+    read_stamped_names,
+)
 from ovmot.errors import DatasetError, InputError
 from ovmot.types import ImuData
 

@@ -13,21 +13,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ovmot.cameras.camera import Camera
-from ovmot.errors import InputError
-from ovmot.geometry import so3
-from ovmot.geometry.arrays import FloatArray
-from ovmot.sim.sequence_files import (
+from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.writing import (
+    SequenceToWrite,
     by_stamp,
-    generators,
-    imu_samples,
     make_folders,
     truth_times,
+    writable,
     write_frames,
     write_imu_truth,
     write_rows,
     write_true_poses,
 )
-from ovmot.sim.simulation import Simulation
+from ovmot.errors import InputError
+from ovmot.geometry import so3
+from ovmot.geometry.arrays import FloatArray
 
 _UTM_ORIGIN_M = np.array([332957.38, 4139892.87, 16.9])
 _MAGNETIC_FIELD = (0.2, 0.0, -0.4)
@@ -40,7 +40,7 @@ class _RectifiedPair:
     projection: tuple[FloatArray, FloatArray]
 
 
-def write_kaist(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_kaist(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write the sequence; yields each frame's time in ns when it is on disk.
 
     `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
@@ -49,69 +49,66 @@ def write_kaist(folder: Path, simulation: Simulation, seed: int) -> Iterator[int
     Raises `InputError` where the folder is not empty or not writable, or where the rig's lenses
     are not the radial-tangential ones that KAIST files hold.
     """
-    for camera in simulation.rig.cameras:
+    for camera in sequence.rig.cameras:
         if camera.lens.name != "radtan":
             problem = f"KAIST calibration cannot hold a lens '{camera.lens.name}'"
             raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
-    try:
-        yield from _write_sequence(folder, simulation, seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    with writable(folder):
+        yield from _write_sequence(folder, sequence)
 
 
-def _write_sequence(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
+def _write_sequence(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     make_folders(folder, (_LEFT, _RIGHT, "sensor_data", "calibration"))
-    _write_calibration(folder / "calibration", simulation)
-    _write_imu(folder, simulation, imu_rng)
-    _write_poses(folder, simulation)
-    stamps = "".join(f"{t}\n" for t in simulation.camera_ns)
+    _write_calibration(folder / "calibration", sequence)
+    _write_imu(folder, sequence)
+    _write_poses(folder, sequence)
+    stamps = "".join(f"{t}\n" for t in sequence.camera_ns)
     (folder / "sensor_data/stereo_stamp.csv").write_text(stamps)
     # a grey scene: the raw Bayer mosaic of every colour pattern is the grey picture itself
     save = by_stamp(folder / _LEFT, folder / _RIGHT)
-    yield from write_frames(folder, simulation, save, picture_rng)
+    yield from write_frames(folder, sequence, sequence.rig, save)
 
 
-def _write_imu(folder: Path, simulation: Simulation, rng: np.random.Generator) -> None:
+def _write_imu(folder: Path, sequence: SequenceToWrite) -> None:
     """xsens_imu.csv, whose attitude is the true one, and the truth of the IMU."""
-    imu = imu_samples(simulation, rng)
+    imu = sequence.imu
     times = imu.data.timestamp_ns
-    camera_clock = times - round(1e9 * simulation.rig.time_offset_s)
-    quaternion = so3.to_quaternion(simulation.path.pose(camera_clock)[:, :3, :3])
+    camera_clock = times - round(1e9 * sequence.rig.time_offset_s)
+    quaternion = so3.to_quaternion(sequence.path.pose(camera_clock)[:, :3, :3])
     euler = Rotation.from_quat(quaternion).as_euler("xyz")
     field = np.tile(_MAGNETIC_FIELD, (len(times), 1))
     write_rows(
         folder / "sensor_data/xsens_imu.csv", times,
         np.concatenate([quaternion, euler, imu.data.gyro, imu.data.accel, field], axis=1),
     )  # fmt: skip
-    write_imu_truth(folder, simulation, imu)
+    write_imu_truth(folder, imu)
 
 
-def _write_poses(folder: Path, simulation: Simulation) -> None:
+def _write_poses(folder: Path, sequence: SequenceToWrite) -> None:
     """truth/poses.csv of the IMU, and global_pose.csv of the vehicle."""
-    write_true_poses(folder, simulation)
-    times = truth_times(simulation)
-    T_utm_vehicle = simulation.path.pose(times) @ np.linalg.inv(simulation.T_vehicle_imu)
+    write_true_poses(folder, sequence)
+    times = truth_times(sequence)
+    T_utm_vehicle = sequence.path.pose(times) @ np.linalg.inv(sequence.T_vehicle_imu)
     T_utm_vehicle[:, :3, 3] += _UTM_ORIGIN_M
     write_rows(folder / "global_pose.csv", times, T_utm_vehicle[:, :3].reshape(-1, 12))
 
 
-def _write_calibration(folder: Path, simulation: Simulation) -> None:
-    rig = simulation.rig
-    pair = _rectify(simulation)
+def _write_calibration(folder: Path, sequence: SequenceToWrite) -> None:
+    rig = sequence.rig
+    pair = _rectify(sequence.rig)
     for side, name, camera in zip((0, 1), ("left", "right"), rig.cameras, strict=True):
         _write_camera(
             folder / f"{name}.yaml", name, camera, pair.rotation[side], pair.projection[side]
         )
-    T_vehicle_cam0 = simulation.T_vehicle_imu @ rig.T_imu_cam0
+    T_vehicle_cam0 = sequence.T_vehicle_imu @ rig.T_imu_cam0
     _write_mount(folder / "Vehicle2Stereo.txt", "Vehicle2Stereo", T_vehicle_cam0)
-    _write_mount(folder / "Vehicle2IMU.txt", "Vehicle2IMU", simulation.T_vehicle_imu)
+    _write_mount(folder / "Vehicle2IMU.txt", "Vehicle2IMU", sequence.T_vehicle_imu)
 
 
-def _rectify(simulation: Simulation) -> _RectifiedPair:
+def _rectify(rig: StereoRig) -> _RectifiedPair:
     """OpenCV's rectification, from which readers get the right camera's pose."""
-    left, right = simulation.rig.cameras
-    T_cam1_cam0 = simulation.rig.T_cam1_cam0
+    left, right = rig.cameras
+    T_cam1_cam0 = rig.T_cam1_cam0
     R0, R1, P0, P1, *_ = cv2.stereoRectify(
         left.matrix, left.distortion, right.matrix, right.distortion,
         (left.width, left.height), T_cam1_cam0[:3, :3].copy(), T_cam1_cam0[:3, 3].copy(),

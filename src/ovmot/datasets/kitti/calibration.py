@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.cameras.camera import Camera
+from ovmot.datasets.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.datasets.pose_files import R_WORLD_CAMERA_AXES
 from ovmot.errors import CalibrationError
 from ovmot.geometry import se3, so3

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration
+from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing, numbered_images, pair_images
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.kitti.calibration import read_kitti_calibration
-from ovmot.datasets.pose_files import seconds_to_ns
 from ovmot.datasets.sequence import FolderSequence, assemble
+from ovmot.datasets.text_tables import seconds_to_ns
 from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import IntArray
 from ovmot.text_files import read_text

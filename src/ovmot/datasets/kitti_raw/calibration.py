@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.cameras.camera import Camera
+from ovmot.datasets.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.datasets.kitti.calibration import read_keyed_numbers, rectified_camera, rigid_part
 from ovmot.errors import CalibrationError
 from ovmot.geometry import se3

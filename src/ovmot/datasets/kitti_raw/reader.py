@@ -12,15 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import Calibration
-from ovmot.datasets.asl import note_no_imu
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.calibration import Calibration
+from ovmot.datasets.findings import Findings, note_no_imu
 from ovmot.datasets.frames import StereoListing, numbered_images, pair_images
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kitti_raw.calibration import CAMERAS_FILE, read_kitti_raw_calibration
-from ovmot.datasets.pose_files import StampedTable
 from ovmot.datasets.sequence import FolderSequence, assemble
+from ovmot.datasets.text_tables import StampedTable
 from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.text_files import read_text

@@ -6,73 +6,63 @@ pictures, and of the samples the nearest one to each of them.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
-from ovmot.errors import InputError
-from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.sim.render import RenderedFrame
-from ovmot.sim.rigs import rectified
-from ovmot.sim.sequence_files import (
-    generators,
-    imu_samples,
+from ovmot.cameras.rig import StereoRig, rectified
+from ovmot.datasets.writing import (
+    FrameToWrite,
+    SequenceToWrite,
     make_folders,
+    writable,
     write_frames,
     write_imu_truth,
     write_png,
     write_true_poses,
 )
-from ovmot.sim.simulation import Simulation
+from ovmot.errors import InputError
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
 
 _DATE = "2011_09_26"
 _VELO_IMU = np.array([-0.81, 0.32, -0.8])
 _FIELDS, _ACCEL, _GYRO = 30, slice(11, 14), slice(17, 20)
 
 
-def write_kitti_sync(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_kitti_sync(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write a `_sync` drive into the folder of its date, as `write_asl`.
 
     The lenses are `radtan` ones, or `InputError` is raised; so it is where the folder is not empty
     or not writable. The format has no place for a time offset.
     """
-    rig = simulation.rig
-    return _checked(folder, replace(simulation, rig=rectified(rig)), rig, "sync", seed)
+    return _checked(folder, sequence, "sync")
 
 
-def write_kitti_extract(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_kitti_extract(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """The same as an `_extract` drive."""
-    return _checked(folder, simulation, simulation.rig, "extract", seed)
+    return _checked(folder, sequence, "extract")
 
 
-def _checked(
-    folder: Path, simulation: Simulation, rig: StereoRig, form: str, seed: int
-) -> Iterator[int]:
-    """Write the drive; `rig` is the unrectified one."""
-    for camera in rig.cameras:
+def _checked(folder: Path, sequence: SequenceToWrite, form: str) -> Iterator[int]:
+    for camera in sequence.rig.cameras:
         if camera.lens.name != "radtan":
             problem = f"KITTI calibration cannot hold a lens '{camera.lens.name}'"
             raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
-    try:
-        yield from _write(folder, simulation, rig, form, seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    with writable(folder):
+        yield from _write(folder, sequence, form)
 
 
-def _write(
-    folder: Path, simulation: Simulation, rig: StereoRig, form: str, seed: int
-) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
+def _write(folder: Path, sequence: SequenceToWrite, form: str) -> Iterator[int]:
+    rig = sequence.rig
+    seen = rectified(rig) if form == "sync" else rig
     drive = folder / _DATE / f"{_DATE}_drive_0001_{form}"
     place = drive.relative_to(folder)
     make_folders(folder, (f"{place}/image_00/data", f"{place}/image_01/data", f"{place}/oxts/data"))
     _write_calibration(folder / _DATE, rig)
-    frame_ns = simulation.camera_ns
-    imu = imu_samples(simulation, imu_rng)
+    frame_ns = sequence.camera_ns
+    imu = sequence.imu
     samples = np.arange(len(imu.data))
     if form == "sync":
         at = frame_ns + round(1e9 * rig.time_offset_s)
@@ -82,18 +72,18 @@ def _write(
         packet = np.zeros(_FIELDS)
         packet[_ACCEL], packet[_GYRO] = imu.data.accel[i], imu.data.gyro[i]
         (drive / f"oxts/data/{n:010d}.txt").write_text(" ".join(f"{x:.12f}" for x in packet) + "\n")
-    write_imu_truth(folder, simulation, imu)
-    write_true_poses(folder, simulation)
+    write_imu_truth(folder, imu)
+    write_true_poses(folder, sequence)
     for camera in ("image_00", "image_01"):
         _write_times(drive / camera, frame_ns)
     number = {int(t): n for n, t in enumerate(frame_ns)}
 
-    def save(frame: RenderedFrame) -> None:
+    def save(frame: FrameToWrite) -> None:
         name = f"{number[frame.frame.timestamp_ns]:010d}.png"
         write_png(drive / "image_00/data" / name, frame.frame.left)
         write_png(drive / "image_01/data" / name, frame.frame.right)
 
-    yield from write_frames(folder, simulation, save, picture_rng)
+    yield from write_frames(folder, sequence, seen, save)
 
 
 def _write_times(folder: Path, timestamp_ns: IntArray) -> None:

@@ -7,15 +7,9 @@ are PNGs of 8 or 16 bits; those of 16 are scaled to 8.
 
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
-from ovmot.datasets.asl import (
-    asl_imu,
-    asl_listing,
-    note_no_imu,
-    note_no_imu_noise,
-    refuse_choice,
-)
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.asl import asl_imu, asl_listing
+from ovmot.datasets.calibration import Calibration
+from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
     StereoListing,
     checked_stamps,

@@ -9,61 +9,56 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.euroc.writer import write_asl_imu, write_listed
-from ovmot.datasets.kalibr_writer import check_rig, write_chain, write_noise
-from ovmot.datasets.pose_files import ns_to_seconds
-from ovmot.errors import InputError
-from ovmot.sim.render import RenderedFrame
-from ovmot.sim.sequence_files import (
-    generators,
-    imu_samples,
+from ovmot.datasets.asl import write_asl_imu, write_listed
+from ovmot.datasets.kalibr import check_rig, write_chain, write_noise
+from ovmot.datasets.text_tables import ns_to_seconds
+from ovmot.datasets.writing import (
+    FrameToWrite,
+    SequenceToWrite,
     make_folders,
+    writable,
     write_frames,
     write_imu_truth,
     write_png,
     write_rows,
     write_true_poses,
 )
-from ovmot.sim.simulation import Simulation
 
 _CAMERAS = ("cam0", "cam1")
 
 
-def write_tum_vi(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_tum_vi(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write the sequence, as `write_asl`; the time offset is in `camchain.yaml`.
 
     Raises `InputError` where the folder is not empty or not writable, or for cameras with skew.
     """
-    check_rig(folder, simulation.rig)
-    try:
-        yield from _write(folder, simulation, seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    check_rig(folder, sequence.rig)
+    with writable(folder):
+        yield from _write(folder, sequence)
 
 
-def _write(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
+def _write(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     mav, dso = folder / "mav0", folder / "dso"
     names = [f"mav0/{camera}/data" for camera in _CAMERAS] + [f"dso/{c}" for c in _CAMERAS]
     make_folders(folder, (*names, "mav0/imu0"))
-    imu = imu_samples(simulation, imu_rng)
+    imu = sequence.imu
     write_asl_imu(mav / "imu0/data.csv", imu)
-    write_chain(dso / "camchain.yaml", simulation.rig)
-    write_noise(dso / "imu_config.yaml", simulation.imu)
+    write_chain(dso / "camchain.yaml", sequence.rig)
+    write_noise(dso / "imu_config.yaml", imu.noise, imu.rate_hz)
     for camera in _CAMERAS:
-        write_listed(mav / camera, simulation.camera_ns)
-        rows = "".join(f"{t} {ns_to_seconds(t)} 5.0\n" for t in simulation.camera_ns)
+        write_listed(mav / camera, sequence.camera_ns)
+        rows = "".join(f"{t} {ns_to_seconds(t)} 5.0\n" for t in sequence.camera_ns)
         (dso / camera / "times.txt").write_text(f"# name time[s] exposure[ms]\n{rows}")
         (dso / camera / "images").symlink_to(Path("../../mav0") / camera / "data")
     values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
     header = "# timestamp[ns] w_x w_y w_z a_x a_y a_z"
     write_rows(dso / "imu.txt", imu.data.timestamp_ns, values, header, separator=" ")
-    write_imu_truth(folder, simulation, imu)
-    write_true_poses(folder, simulation)
+    write_imu_truth(folder, imu)
+    write_true_poses(folder, sequence)
 
-    def save(frame: RenderedFrame) -> None:
+    def save(frame: FrameToWrite) -> None:
         for camera, picture in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
             path = mav / camera / "data" / f"{frame.frame.timestamp_ns}.png"
             write_png(path, picture.astype(np.uint16) * 257)  # the full range of 16 bits
 
-    yield from write_frames(folder, simulation, save, picture_rng)
+    yield from write_frames(folder, sequence, sequence.rig, save)

@@ -7,9 +7,8 @@ sequence's folder, in folders there whose name holds `calib`, and likewise one f
 
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
-from ovmot.datasets.asl import note_no_imu, note_no_imu_noise, refuse_choice
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.calibration import Calibration
+from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
     StereoListing,
     checked_stamps,
@@ -19,9 +18,8 @@ from ovmot.datasets.frames import (
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kalibr import CHAIN_FILE, IMU_FILE, read_kalibr_noise, read_kalibr_rig
-from ovmot.datasets.pose_files import column_count
 from ovmot.datasets.sequence import FolderSequence, assemble
-from ovmot.datasets.text_tables import read_timed_names, read_timed_text
+from ovmot.datasets.text_tables import column_count, read_timed_names, read_timed_text
 from ovmot.errors import CalibrationError, DatasetError, InputError
 from ovmot.types import ImuData
 

@@ -9,59 +9,54 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.kalibr_writer import check_rig, write_chain, write_noise
-from ovmot.datasets.pose_files import ns_to_seconds
-from ovmot.errors import InputError
-from ovmot.sim.render import RenderedFrame
-from ovmot.sim.sequence_files import (
-    generators,
-    imu_samples,
+from ovmot.datasets.kalibr import check_rig, write_chain, write_noise
+from ovmot.datasets.text_tables import ns_to_seconds
+from ovmot.datasets.writing import (
+    FrameToWrite,
+    SequenceToWrite,
     make_folders,
+    writable,
     write_frames,
     write_imu_truth,
     write_png,
     write_true_poses,
 )
-from ovmot.sim.simulation import Simulation
 
 _CALIBRATION = "simulated_calib_snapdragon"
 
 
-def write_uzh_fpv(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_uzh_fpv(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write the sequence, as `write_asl`; the time offset is in the Kalibr chain.
 
     Raises `InputError` where the folder is not empty or not writable, or for cameras with skew.
     """
-    check_rig(folder, simulation.rig)
-    try:
-        yield from _write(folder, simulation, seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    check_rig(folder, sequence.rig)
+    with writable(folder):
+        yield from _write(folder, sequence)
 
 
-def _write(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
+def _write(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
+    imu = sequence.imu
     make_folders(folder, ("img", _CALIBRATION))
-    write_chain(folder / _CALIBRATION / "camchain-imucam-simulated.yaml", simulation.rig)
-    write_noise(folder / _CALIBRATION / "imu.yaml", simulation.imu)
-    stamps = simulation.camera_ns.tolist()
+    write_chain(folder / _CALIBRATION / "camchain-imucam-simulated.yaml", sequence.rig)
+    write_noise(folder / _CALIBRATION / "imu.yaml", imu.noise, imu.rate_hz)
+    stamps = sequence.camera_ns.tolist()
     for i, side in enumerate(("left", "right")):
         rows = (f"{n} {ns_to_seconds(t)} img/image_{i}_{n}.png\n" for n, t in enumerate(stamps))
         (folder / f"{side}_images.txt").write_text("# id timestamp image_name\n" + "".join(rows))
-    imu = imu_samples(simulation, imu_rng)
     values = np.concatenate([imu.data.gyro, imu.data.accel], axis=1)
     with (folder / "imu.txt").open("w", encoding="utf-8") as file:
         file.write("# timestamp ang_vel_x ang_vel_y ang_vel_z lin_acc_x lin_acc_y lin_acc_z\n")
         samples = zip(imu.data.timestamp_ns.tolist(), values.tolist(), strict=True)
         for n, (t, row) in enumerate(samples):
             file.write(f"{n} {ns_to_seconds(t)} {' '.join(f'{x:.9f}' for x in row)}\n")
-    write_imu_truth(folder, simulation, imu)
-    write_true_poses(folder, simulation)
+    write_imu_truth(folder, imu)
+    write_true_poses(folder, sequence)
     number = {t: n for n, t in enumerate(stamps)}
 
-    def save(frame: RenderedFrame) -> None:
+    def save(frame: FrameToWrite) -> None:
         n = number[frame.frame.timestamp_ns]
         write_png(folder / "img" / f"image_0_{n}.png", frame.frame.left)
         write_png(folder / "img" / f"image_1_{n}.png", frame.frame.right)
 
-    yield from write_frames(folder, simulation, save, picture_rng)
+    yield from write_frames(folder, sequence, sequence.rig, save)

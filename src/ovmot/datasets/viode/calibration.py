@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.cameras.calibration import (
+from ovmot.cameras.camera import Camera
+from ovmot.datasets.calibration import (
     Calibration,
     CalibrationNode,
     load_calibration_yaml,
     make_rig,
 )
-from ovmot.cameras.camera import Camera
 from ovmot.errors import CalibrationError
 
 _DISTORTION = ("k1", "k2", "p1", "p2")

@@ -15,19 +15,17 @@ above it, as one copy serves all sequences.
 
 from pathlib import Path
 
-from ovmot.cameras.calibration import Calibration
 from ovmot.datasets.asl import (
     asl_imu,
     asl_listing,
     mav_folder,
-    note_no_imu_noise,
-    refuse_choice,
     sensor_calibration,
     sequence_folder,
 )
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.calibration import Calibration
+from ovmot.datasets.findings import Findings, note_no_imu_noise, refuse_choice
 from ovmot.datasets.images import read_grey
-from ovmot.datasets.segmentation import find_segmentation
+from ovmot.datasets.instance_masks import find_instance_images
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.viode.calibration import read_vins
 from ovmot.errors import InputError
@@ -70,7 +68,7 @@ class ViodeReader:
             calibration=calibration or _calibration(mav, folder, findings),
             decode=read_grey,
             findings=findings,
-            segmentation=find_segmentation(pictures, _near(folder, _COLOURS), findings),
+            segmentation=find_instance_images(pictures, _near(folder, _COLOURS), findings),
         )
 
 

@@ -5,28 +5,25 @@ are. The segmentation shows 0 for the scene and each mover's id, in the colours 
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.datasets.euroc.writer import write_asl_imu, write_listed
-from ovmot.errors import InputError
-from ovmot.geometry.arrays import FloatArray, Image
-from ovmot.sim.render import RenderedFrame
-from ovmot.sim.rigs import without_distortion
-from ovmot.sim.sequence_files import (
-    generators,
-    imu_samples,
+from ovmot.cameras.rig import StereoRig, without_distortion
+from ovmot.datasets.asl import write_asl_imu, write_listed
+from ovmot.datasets.writing import (
+    FrameToWrite,
+    SequenceToWrite,
     make_folders,
+    writable,
     write_frames,
     write_imu_truth,
     write_png,
     write_true_poses,
 )
-from ovmot.sim.simulation import Simulation
+from ovmot.geometry.arrays import FloatArray, Image
 
 _CAMERAS = ("cam0", "cam1")
 
@@ -37,47 +34,42 @@ def colour_table() -> Image:
     return np.asarray(43 + ids * np.array([119, 53, 201]), dtype=np.int64).astype(np.uint8)
 
 
-def write_viode(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
+def write_viode(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     """Render and write the sequence, as `write_asl`; the time offset is `td` of the calibration.
 
     Raises `InputError` where the folder is not empty or not writable.
     """
-    try:
-        rig = without_distortion(simulation.rig)
-        yield from _write(folder, replace(simulation, rig=rig), seed)
-    except OSError as error:
-        raise InputError.at(folder, f"cannot be written: {error.strerror}") from error
+    with writable(folder):
+        yield from _write(folder, sequence, without_distortion(sequence.rig))
 
 
-def _write(folder: Path, simulation: Simulation, seed: int) -> Iterator[int]:
-    picture_rng, imu_rng = generators(seed)
+def _write(folder: Path, sequence: SequenceToWrite, rig: StereoRig) -> Iterator[int]:
     mav = folder / "mav0"
     names = [f"mav0/{camera}/{part}" for camera in _CAMERAS for part in ("data", "segmentation")]
     make_folders(folder, (*names, "mav0/imu0", "calibration_files", "segmentation"))
     for camera in _CAMERAS:
-        write_listed(mav / camera, simulation.camera_ns)
-    imu = imu_samples(simulation, imu_rng)
+        write_listed(mav / camera, sequence.camera_ns)
+    imu = sequence.imu
     write_asl_imu(mav / "imu0/data.csv", imu)
-    write_imu_truth(folder, simulation, imu)
-    write_true_poses(folder, simulation)
-    _write_calibration(folder / "calibration_files", simulation)
+    write_imu_truth(folder, imu)
+    write_true_poses(folder, sequence)
+    _write_calibration(folder / "calibration_files", rig)
     colours = colour_table()
     rows = "".join(f"{i},{r},{g},{b}\n" for i, (r, g, b) in enumerate(colours.tolist()))
     (folder / "segmentation/rgb_ids.txt").write_text(f"id,r,g,b\n{rows}")
 
-    def save(frame: RenderedFrame) -> None:
+    def save(frame: FrameToWrite) -> None:
         name = f"{frame.frame.timestamp_ns}.png"
-        views = (frame.frame.left, frame.left), (frame.frame.right, frame.right)
-        for camera, (grey, picture) in zip(_CAMERAS, views, strict=True):
+        views = (frame.frame.left, frame.left_id), (frame.frame.right, frame.right_id)
+        for camera, (grey, ids) in zip(_CAMERAS, views, strict=True):
             write_png(mav / camera / "data" / name, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
-            write_png(mav / camera / "segmentation" / name, colours[picture.object_id][..., ::-1])
+            write_png(mav / camera / "segmentation" / name, colours[ids][..., ::-1])
 
-    yield from write_frames(folder, simulation, save, picture_rng)
+    yield from write_frames(folder, sequence, rig, save)
 
 
-def _write_calibration(folder: Path, simulation: Simulation) -> None:
+def _write_calibration(folder: Path, rig: StereoRig) -> None:
     """The files of VINS-Fusion, as the data set gives them."""
-    rig = simulation.rig
     lines = ["%YAML:1.0", "imu: 1", "num_of_cam: 2", 'imu_topic: "/imu0"']
     for i, (camera, T) in enumerate(
         zip(rig.cameras, (rig.T_imu_cam0, rig.T_imu_cam1), strict=True)

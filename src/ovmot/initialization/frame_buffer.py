@@ -1,0 +1,72 @@
+"""The frames that an initializer looks at, until it has an initial state."""
+
+from collections import deque
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.errors import DatasetError
+from ovmot.geometry.arrays import FloatArray
+from ovmot.interfaces import Initializer
+from ovmot.settings import InitializationSettings
+from ovmot.types import FrontendFrame
+from ovmot.vio.imu_buffer import ImuBuffer, integrated_rotation
+
+_LONGER = 1.2  # than the longest window: what is kept, since frames do not come to the nanosecond
+
+
+class FrameBuffer:
+    """Keeps the newest frames before the start, as many as an initializer looks at."""
+
+    def __init__(self, initializer: Initializer, settings: InitializationSettings) -> None:
+        self._initializer = initializer
+        self._settings = settings
+        self._frames: deque[FrontendFrame] = deque()
+
+    @property
+    def frames(self) -> tuple[FrontendFrame, ...]:
+        """The frames, oldest first."""
+        return tuple(self._frames)
+
+    def clear(self) -> None:
+        """Let all frames go."""
+        self._frames.clear()
+
+    def append(self, seen: FrontendFrame, imu: ImuBuffer) -> None:
+        """Take a frame; drop those beyond the window, and those that are older than the IMU."""
+        frames, first_ns = self._frames, imu.first_ns
+        frames.append(seen)
+        span_ns = round(_LONGER * 1e9 * self._settings.motion_window_s)
+        while len(frames) > 1 and (
+            seen.timestamp_ns - frames[0].timestamp_ns > span_ns
+            or (
+                first_ns is not None
+                and self._initializer.imu_time_ns(frames[0].timestamp_ns) < first_ns
+            )
+        ):
+            frames.popleft()
+
+    @property
+    def imu_needed_from_ns(self) -> int:
+        """The oldest IMU time that the initializer may ask for; there is a frame."""
+        oldest_ns = self._initializer.imu_time_ns(self._frames[0].timestamp_ns)
+        return oldest_ns - round(1e9 * self._settings.window_s)
+
+    def rotation_until(self, frame_ns: int, imu: ImuBuffer, rig: StereoRig) -> FloatArray:
+        """T_now_before (4, 4) of the left camera since the last frame, by the gyroscope alone.
+
+        The identity where there is no frame before, or no IMU.
+        """
+        T = np.eye(4)
+        if not self._frames:
+            return T
+        try:
+            samples = imu.between(
+                self._initializer.imu_time_ns(self._frames[-1].timestamp_ns),
+                self._initializer.imu_time_ns(frame_ns),
+            )
+        except DatasetError:
+            return T
+        R_cam_imu = rig.T_imu_cam0[:3, :3].T
+        T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+        return T

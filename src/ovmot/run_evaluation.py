@@ -1,0 +1,162 @@
+"""One run against the truth: reads both, measures everything, writes metrics and plots."""
+
+import contextlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.table import Table
+
+from ovmot.datasets.registry import open_sequence
+from ovmot.datasets.truth import EgoTruth, ObjectTruth, read_ego_truth, read_object_truth
+from ovmot.errors import InputError, OvmotError
+from ovmot.evaluation.calibration import CalibrationErrors, calibration_scalars
+from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
+from ovmot.evaluation.labels import LabelCounts, count_labels
+from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, compare_frames
+from ovmot.evaluation.objects import (
+    ObjectMetrics,
+    evaluate_objects,
+    gate_scalars,
+    label_scalars,
+    object_scalars,
+)
+from ovmot.evaluation.stereo_gate import GateCounts, count_gate
+from ovmot.evaluation.trajectory import associate_stamps
+from ovmot.outputs.finished_run import Run
+from ovmot.outputs.run_reader import EgoRun, read_ego_run, read_matches, read_points, read_tracks
+from ovmot.outputs.run_writer import EVALUATION_FILES
+from ovmot.text_files import StrPath
+
+_MAX_GAP_NS = 6_000_000
+_METRICS, _ERRORS, _NEES, _MAP = EVALUATION_FILES
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All that was measured; None where the run or the truth lacks what it takes."""
+
+    ego: EgoMetrics
+    frames: tuple[ComparedFrame, ...] = ()
+    objects: ObjectMetrics | None = None
+    labels: LabelCounts | None = None
+    gate: GateCounts | None = None
+    calibration: CalibrationErrors | None = None
+
+    def scalars(self) -> dict[str, float | None]:
+        """Every metric as one flat table, names ending in the unit."""
+        return {name: value for group in self.groups() for name, value in group.items()}
+
+    def groups(self) -> tuple[dict[str, float | None], ...]:
+        """The same, apart: the ego motion, the moving objects, the labels, the stereo gate,
+        the calibration."""
+        return (
+            scalars(self.ego),
+            {} if self.objects is None else object_scalars(self.objects),
+            {} if self.labels is None else label_scalars(self.labels),
+            {} if self.gate is None else gate_scalars(self.gate),
+            {} if self.calibration is None else calibration_scalars(self.calibration),
+        )
+
+
+def evaluate(
+    run: StrPath | Run,
+    truth: StrPath,
+    criteria: ObjectCriteria | None = None,
+) -> Evaluation:
+    """Measure a finished run against the truth; nothing is written.
+
+    Parameters
+    ----------
+    run
+        The folder of a run, or the run itself.
+    truth
+        The folder of a sequence with its truth, or a TUM file of true poses.
+    criteria
+        When an object counts as found; by default those of docs/evaluation.md.
+
+    Raises
+    ------
+    InputError
+        Where one of them is not what it should be, or they have no time in common.
+    """
+    return _evaluation(
+        run.folder if isinstance(run, Run) else Path(run), Path(truth), criteria or ObjectCriteria()
+    )
+
+
+def _evaluation(run: Path, truth: Path, wanted: ObjectCriteria) -> Evaluation:
+    ego_run, ego_truth = read_ego_run(run), read_ego_truth(truth)
+    ego = evaluate_ego(ego_run, ego_truth)
+    true_objects = _objects_of(truth)
+    if true_objects is None:
+        return Evaluation(ego)
+    frames = _compared(run, ego_run, ego_truth, true_objects, wanted)
+    points, matches = read_points(run), read_matches(run)
+    labels = None if points is None else count_labels(points, true_objects, wanted)
+    gate = None
+    if matches is not None and true_objects.has_depth:
+        gate = count_gate(matches, true_objects, open_sequence(truth).rig)
+    objects = evaluate_objects(frames, wanted) if frames else None
+    return Evaluation(ego, frames, objects, labels, gate)
+
+
+def write_metrics(run: StrPath, evaluation: Evaluation) -> None:
+    """Write `metrics.json` into the run, in one step; raises `OvmotError` where it cannot."""
+    path = Path(run) / _METRICS
+    partial = path.with_suffix(".json.part")
+    text = json.dumps(evaluation.scalars(), indent=2, allow_nan=False) + "\n"
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise OvmotError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def write_plots(run: StrPath, evaluation: Evaluation) -> None:
+    """Write the errors with their bounds, NEES, and the map; raises `OvmotError`."""
+    # matplotlib loads for half a second: no other command shall wait for it
+    from ovmot.evaluation.ego_plots import error_figure, nees_figure, save_figure
+    from ovmot.evaluation.map_plot import map_figure
+
+    folder, series = Path(run), evaluation.ego.series
+    save_figure(error_figure(series), folder / _ERRORS)
+    save_figure(nees_figure(series), folder / _NEES)
+    save_figure(map_figure(series, evaluation.frames), folder / _MAP)
+
+
+def metrics_table(evaluation: Evaluation) -> Table:
+    """The metrics for a terminal in groups; those without a value are left out."""
+    table = Table("metric", "value", title="against the truth")
+    for group in evaluation.groups():
+        for name, value in group.items():
+            if value is not None:
+                table.add_row(name, f"{value:.0f}" if value == round(value) else f"{value:.4g}")
+        table.add_section()
+    return table
+
+
+def _objects_of(data: Path) -> ObjectTruth | None:
+    """The true objects of a sequence; raises `InputError` where its writing was interrupted."""
+    truth = read_object_truth(data) if data.is_dir() else None
+    if truth is None and (data / "truth").is_dir():
+        raise InputError.at(
+            data / "truth", "holds no objects.json: it was not written to its end",
+            "simulate it again, or give the file with the poses by --truth",
+        )  # fmt: skip
+    return truth
+
+
+def _compared(
+    run: Path, ego_run: EgoRun, ego_truth: EgoTruth, truth: ObjectTruth, criteria: ObjectCriteria
+) -> tuple[ComparedFrame, ...]:
+    tracks = read_tracks(run)
+    if tracks is None:
+        return ()
+    of_truth, of_run = associate_stamps(ego_truth.timestamp_ns, ego_run.timestamp_ns, _MAX_GAP_NS)
+    return compare_frames(
+        ego_run.timestamp_ns[of_run], ego_truth.T_world_imu[of_truth], ego_run.T_world_imu[of_run],
+        truth, tracks, criteria,
+    )  # fmt: skip

@@ -1,0 +1,151 @@
+"""Kalibr and EuRoC calibration files, good ones and broken ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ovmot.datasets.kalibr import read_kalibr
+from ovmot.errors import CalibrationError
+
+CHAIN = """\
+%YAML:1.0 # need to specify the file type at the top!
+
+cam0:
+  T_imu_cam:
+    - [0.0, 0.0, 1.0, 0.1]
+    - [-1.0, 0.0, 0.0, 0.05]
+    - [0.0, -1.0, 0.0, 0.0]
+    - [0.0, 0.0, 0.0, 1.0]
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.1, 0.01, 1.0e-3, 2e-4]
+  distortion_model: radtan
+  intrinsics: [458.6, 457.2, 367.2, 248.3]
+  resolution: [752, 480]
+  timeshift_cam_imu: 0.005
+cam1:
+  T_cn_cnm1:
+    - [1.0, 0.0, 0.0, -0.11]
+    - [0.0, 1.0, 0.0, 0.0]
+    - [0.0, 0.0, 1.0, 0.0]
+    - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.01, -0.02, 0.003, 0.0004]
+  distortion_model: equidistant
+  intrinsics: [457.5, 456.1, 379.9, 255.2]
+  resolution: [752, 480]
+"""
+IMU = """\
+%YAML:1.0
+imu0:
+  T_i_b:
+    - [1.0, 0.0, 0.0, 0.0]
+    - [0.0, 1.0, 0.0, 0.0]
+    - [0.0, 0.0, 1.0, 0.0]
+    - [0.0, 0.0, 0.0, 1.0]
+  accelerometer_noise_density: 2e-3
+  accelerometer_random_walk: 3.0000e-3
+  gyroscope_noise_density: 1.6968e-04
+  gyroscope_random_walk: 1.9393e-05
+  update_rate: 200.0
+"""
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Path:
+    path = tmp_path / "kalibr_imucam_chain.yaml"
+    path.write_text(CHAIN)
+    return path
+
+
+def test_chain_with_all_its_parts(chain: Path) -> None:
+    (chain.parent / "kalibr_imu_chain.yaml").write_text(IMU)
+    found = read_kalibr(chain.parent)
+    rig = found.rig
+    np.testing.assert_allclose(rig.T_imu_cam0[:3, 3], [0.1, 0.05, 0.0])
+    np.testing.assert_allclose(rig.T_cam1_cam0[:3, 3], [-0.11, 0.0, 0.0], atol=1e-12)
+    # the right camera stands to the right: towards -y of an IMU with x forward, y left
+    np.testing.assert_allclose(rig.T_imu_cam1[:3, 3], [0.1, -0.06, 0.0], atol=1e-12)
+    assert (rig.cam0.lens.name, rig.cam1.lens.name) == ("radtan", "equidistant")
+    np.testing.assert_array_equal(rig.cam0.distortion, [-0.1, 0.01, 1e-3, 2e-4])
+    assert (rig.cam0.width, rig.cam0.height) == (752, 480)
+    assert rig.time_offset_s == 0.005
+    assert found.imu_noise is not None
+    assert (found.imu_noise.gyro, found.imu_noise.accel) == (1.6968e-4, 2e-3)
+
+
+def test_pose_given_the_other_way_round(chain: Path) -> None:
+    """Kalibr's T_cam_imu is the inverse of T_imu_cam; no IMU file means no noise."""
+    inverse = (
+        "T_cam_imu: [0.0, -1.0, 0.0, 0.05, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, -0.1, 0, 0, 0, 1]\n"
+    )
+    before, _, rest = CHAIN.partition("T_imu_cam:")
+    _, _, after = rest.partition("    - [0.0, 0.0, 0.0, 1.0]\n")
+    expected = read_kalibr(chain).rig.T_imu_cam0
+    chain.write_text(before + inverse + after)
+    found = read_kalibr(chain)
+    np.testing.assert_allclose(found.rig.T_imu_cam0, expected, atol=1e-12)
+    assert found.imu_noise is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("  intrinsics: [458.6, 457.2, 367.2, 248.3]\n", "", "'cam0.intrinsics': this key is miss"),
+        ("458.6, 457.2", "458.6", "expected 4 numbers"),
+        ("458.6", ".nan", "'cam0.intrinsics': holds a number that is not finite"),
+        ("458.6", "wide", "expected 4 numbers"),
+        ("458.6", "0.0", "not positive"),
+        ("model: radtan", "model: fov", "'cam0.distortion_model': unknown lens model 'fov'"),
+        ("[-0.1, 0.01, 1.0e-3, 2e-4]", "[-0.1, 0.01]", "'cam0.distortion_coeffs': .*takes 4 or 5"),
+        ("resolution: [752, 480]\n  timeshift", f"resolution: [{'9' * 25}, 480]\n  timeshift",
+         "impossible camera: 1[0-9]+x480 pixels"),
+        ("resolution: [752, 480]\n  timeshift", "resolution: [0, 480]\n  timeshift", "no image is"),
+        ("[-1.0, 0.0, 0.0, 0.05]", "[-1.0, 0.5, 0.0, 0.05]", "'cam0.T_imu_cam': .*not a rotation"),
+        ("[-1.0, 0.0, 0.0, 0.05]", "[1.0, 0.0, 0.0, 0.05]", "not a rotation"),
+        ("[-1.0, 0.0, 0.0, 0.05]", "[-1.0, 0.0, 0.05]", "expected 4x4 numbers"),
+        ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: omni", "'omni' is not known"),
+        ("T_cn_cnm1", "T_other", "'cam1.T_cam_imu': the camera's pose is missing"),
+        ("-0.11]", "0.0]", "same place"),
+        ("-0.11]", "-110.0]", "110 m apart .translations are in metres"),
+        ("timeshift_cam_imu: 0.005", "timeshift_cam_imu: 1e300", "no clock is 1e.300 s off"),
+        ("458.6, 457.2", "1e-9, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
+        ("458.6, 457.2", "1e12, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
+        ("[-0.1, 0.01, 1.0e-3", "[1e9, 0.01, 1.0e-3", "cam0: no lens makes a picture"),
+        ("timeshift_cam_imu: 0.005", "resolution: [752, 480]", "found 'resolution' twice"),
+        ("camera_model: pinhole\n", "camera_model: [pinhole\n", "not valid YAML"),
+        ("cam1:", "cam7:", "'cam1': this key is missing"),
+        ("distortion_model: equidistant", "distortion_model: equidistant\n  timeshift_cam_imu: 1.0",
+         "exposed together"),
+    ],
+)  # fmt: skip
+def test_broken_chain_is_one_clear_line(chain: Path, old: str, new: str, message: str) -> None:
+    assert old in CHAIN
+    chain.write_text(CHAIN.replace(old, new, 1))
+    with pytest.raises(CalibrationError, match=message) as caught:
+        read_kalibr(chain)
+    assert str(chain) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_empty_chain(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationError, match="no such calibration file"):
+        read_kalibr(tmp_path)
+    (tmp_path / "list.yaml").write_text("- 1\n- 2\n")
+    with pytest.raises(CalibrationError, match="holds no keys"):
+        read_kalibr(tmp_path / "list.yaml")
+
+
+@pytest.mark.parametrize("value", ["0.0", "-1e-3", "1e20", ".inf", "loud"])
+def test_impossible_noise_is_refused(chain: Path, value: str) -> None:
+    (chain.parent / "kalibr_imu_chain.yaml").write_text(IMU.replace("2e-3", value))
+    with pytest.raises(CalibrationError, match=r"imu0\.accelerometer_noise_density"):
+        read_kalibr(chain)
+
+
+def test_yaml_that_would_run_code_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "evil.yaml"
+    path.write_text("cam0: !!python/object/apply:os.getcwd []\n")
+    with pytest.raises(CalibrationError, match="not valid YAML"):
+        read_kalibr(path)

@@ -1,0 +1,53 @@
+"""Compiled algebra of small matrices against NumPy."""
+
+import numpy as np
+import pytest
+
+from ovmot.geometry.arrays import FloatArray
+from ovmot.kernels.small_matrices import (
+    add_products,
+    cross,
+    invert_symmetric,
+    whiten,
+    whiten_with,
+)
+
+
+@pytest.fixture(params=range(4))
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    return np.random.default_rng(request.param)
+
+
+def positive(rng: np.random.Generator, n: int) -> FloatArray:
+    A = rng.normal(size=(n, n))
+    return A @ A.T + np.eye(n)
+
+
+def test_the_inverse_of_the_upper_triangle(rng: np.random.Generator) -> None:
+    N, out = positive(rng, 3), np.empty((3, 3))
+    invert_symmetric(np.triu(N), out)
+    np.testing.assert_allclose(out, np.linalg.inv(N), rtol=1e-9)
+
+
+def test_the_cross_product(rng: np.random.Generator) -> None:
+    a, b = rng.normal(size=(2, 3))
+    found = cross((a[0], a[1], a[2]), (b[0], b[1], b[2]))
+    np.testing.assert_allclose(found, np.cross(a, b), atol=1e-14)
+
+
+def test_products_are_added(rng: np.random.Generator) -> None:
+    rows, out = rng.normal(size=(4, 5)), np.ones((5, 5))
+    add_products(rows, out)
+    np.testing.assert_allclose(out, 1.0 + rows.T @ rows, rtol=1e-12)
+
+
+def test_whitened_rows_have_unit_covariance(rng: np.random.Generator) -> None:
+    S, rows = positive(rng, 4), rng.normal(size=(4, 3))
+    factor, white = S.copy(), rows.copy()
+    whiten(factor, white)
+    L = np.linalg.cholesky(S)
+    np.testing.assert_allclose(np.tril(factor), L, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(white, np.linalg.solve(L, rows), rtol=1e-9, atol=1e-12)
+    again = rows.copy()
+    whiten_with(np.tril(factor), again)
+    np.testing.assert_allclose(again, white, rtol=1e-12, atol=1e-14)

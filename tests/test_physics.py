@@ -1,0 +1,28 @@
+"""Gates are quantiles of chi-squared; the road users' facts hold together."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ovmot.physics import CAR_SIZE_M, MAX_VEHICLE_SIZE_M, gate, gates
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 4, 6, 50])
+@pytest.mark.parametrize("probability", [0.5, 0.95, 0.99, 0.999, 1.0 - 1e-4])
+def test_a_gate_lets_its_share_of_true_measurements_pass(dof: int, probability: float) -> None:
+    assert gate(dof, probability) == pytest.approx(chi2.ppf(probability, dof), rel=1e-9)
+
+
+def test_drawn_measurements_pass_at_the_stated_rate() -> None:
+    drawn = np.random.default_rng(0).normal(size=(200_000, 3))
+    passed = ((drawn**2).sum(1) < gate(3, 0.99)).mean()
+    assert passed == pytest.approx(0.99, abs=1e-3)
+
+
+def test_gates_of_an_array_are_those_of_its_elements() -> None:
+    dof = np.array([1.0, 4.0, 9.0])
+    np.testing.assert_allclose(gates(dof, 0.99), [gate(int(d), 0.99) for d in dof], rtol=1e-12)
+
+
+def test_a_car_is_a_vehicle() -> None:
+    assert all(car < most for car, most in zip(CAR_SIZE_M, MAX_VEHICLE_SIZE_M, strict=True))
