@@ -17,7 +17,7 @@ def main(folder: str, poses: str) -> dict[int, float]:
     """Print the moving objects of each frame; return the greatest speed of each confirmed one."""
     sequence = ovmot.open(folder)
     initializer = ovmot.poses_from_file(poses, sequence)
-    posed = set(initializer.ego.pose_ns.tolist())
+    posed = set(initializer.source.pose_ns.tolist())
     odometry = ovmot.Odometry(sequence.rig, initializer=initializer)
     fastest: dict[int, float] = {}
     for event in sequence:

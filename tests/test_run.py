@@ -394,5 +394,5 @@ def test_camera_poses_are_carried_to_the_imu(painted_euroc: Path, tmp_path: Path
     poses.write_text("1 0 0 0.5 0 1 0 0 0 0 1 2\n" * 12)
     sequence = open_sequence(painted_euroc)
     start = poses_from_file(str(poses), sequence, SETTINGS)
-    T_world_cam0 = start.ego.T_world_imu[0] @ sequence.rig.T_imu_cam0
+    T_world_cam0 = start.source.T_world_imu[0] @ sequence.rig.T_imu_cam0
     np.testing.assert_allclose(se3.apply(T_world_cam0, np.zeros(3)), [2.0, -0.5, 0.0], atol=1e-9)

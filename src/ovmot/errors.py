@@ -27,5 +27,9 @@ class DatasetError(InputError):
     """A recorded sequence that cannot be read, or not any further."""
 
 
+class InitializationError(OvmotError):
+    """No initial state by these frames, and why; more frames may give one."""
+
+
 class SettingsWarning(UserWarning):
     """A setting is accepted, but not under this name any more."""

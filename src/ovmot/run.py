@@ -320,7 +320,7 @@ def _with_pose(
 ) -> Generator[Event, None, None]:
     """The events, without the frames for which a pose file has no pose; those are counted."""
     counts["frames_without_pose"] = 0
-    posed = set(poses.ego.pose_ns.tolist())
+    posed = set(poses.source.pose_ns.tolist())
     with closing(stream):
         for event in stream:
             if isinstance(event, ImuSample) or event.timestamp_ns in posed:

@@ -55,6 +55,20 @@ def test_baseline_is_the_distance_of_the_centres() -> None:
     assert tilted_rig().cameras == (CAM0, CAM1)
 
 
+def test_pixels_and_their_noise_in_normalized_coordinates() -> None:
+    rig, p_cam0 = tilted_rig(), points_cam0()
+    p_cam1 = se3.apply(rig.T_cam1_cam0, p_cam0)
+    pixels = np.concatenate([rig.cam0.project(p_cam0), rig.cam1.project(p_cam1)], axis=1)
+    pixels[3, 2:] = np.nan
+    normalized = rig.normalize(pixels)
+    np.testing.assert_allclose(normalized[:, :2], p_cam0[:, :2] / p_cam0[:, 2:], atol=1e-9)
+    right = p_cam1[:, :2] / p_cam1[:, 2:]
+    right[3] = np.nan
+    np.testing.assert_allclose(normalized[:, 2:], right, atol=1e-9)
+    sigma = rig.normalized_sigma(0.5)
+    np.testing.assert_allclose(sigma, [0.5 / 400.0, 0.5 / 410.0, 0.5 / 380.0, 0.5 / 390.0])
+
+
 def test_rounded_rotations_are_cleaned() -> None:
     rig = tilted_rig()
     rounded = StereoRig(CAM0, CAM1, rig.T_imu_cam0.round(4), rig.T_imu_cam1.round(4))

@@ -1,4 +1,4 @@
-"""The refinement of a start: its normal equations, what it recovers, and how sure it says it is."""
+"""Bundle adjustment: its normal equations, what it recovers, and the covariance it claims."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,18 +9,19 @@ import pytest
 from scipy.stats import chi2
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InitializationError
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.initialization.bundle_adjustment import (
     AdjustedWindow,
     bundle_adjust,
-    image_information,
-    place_points,
-    weighted,
-    window_pixels,
+    keyframe_pixels,
+    reproject_points,
+    robustly_weighted,
+    schur_complement,
 )
-from ovmot.initialization.factors import Factor, ImuPieces, imu_factor, prior_factor
+from ovmot.initialization.factors import Factor, ImuIntervals, imu_factor, prior_factor
 from ovmot.initialization.window import (
     BIAS_OF_ACCEL,
     BIAS_OF_GYRO,
@@ -32,12 +33,12 @@ from ovmot.initialization.window import (
 from ovmot.settings import CalibrationSettings, FilterSettings
 from ovmot.sim.imu import noisy_imu, perfect_imu
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
+from ovmot.vio.integrators import integrate_rk4
 from ovmot.vio.msckf_features import Reprojection, reproject
 from ovmot.vio.online_calibration import calibrated_rig
-from ovmot.vio.propagation import integrate_rk4
 
 G = 9.81
-N = 9  # instants, 0.1 s apart
+N = 9  # keyframes, 0.1 s apart
 OFFSET_S = 0.002
 OFFSET_SIGMA_S = 0.005
 ACCEL_BIAS_SIGMA = 0.05
@@ -63,7 +64,7 @@ def test_normal_equations_are_those_of_window_and_points_together(
     true = make_window(3, CalibrationSettings(extrinsics=True, intrinsics=True))
     frames = [observe(rig, T, landmarks, 0, 0.5, rng) for T in true.T_world_imu]
     ids = np.intersect1d(frames[0].feature_id, frames[-1].feature_id)[:6]
-    pixels = window_pixels(frames, ids, 100)
+    pixels = keyframe_pixels(frames, ids, 100)
     window = window_plus(true, rng.normal(0.0, 1e-3, true.size))
     points = landmarks[ids]
     n, k = window.size, 3 * len(points)
@@ -77,7 +78,7 @@ def test_normal_equations_are_those_of_window_and_points_together(
     r = residual(np.zeros(n + k))
     A, b = J.T @ J, J.T @ r
     K = A[:n, n:] @ np.linalg.inv(A[n:, n:])
-    information, gradient = image_information(window, seen_by(window, rig, pixels, points))
+    information, gradient = schur_complement(window, seen_by(window, rig, pixels, points))
     scale = np.sqrt(np.diag(A)[:n].clip(1e-12))
     np.testing.assert_allclose(
         information / np.outer(scale, scale), (A[:n, :n] - K @ A[n:, :n]) / np.outer(scale, scale),
@@ -105,17 +106,17 @@ class Trial:
             ImuData(data.timestamp_ns[a : b + 1], data.gyro[a : b + 1], data.accel[a : b + 1])
             for a, b in pairwise(range(0, len(data), 20))
         ]
-        unseen = [np.zeros(20, np.bool_) for _ in cuts]
-        self.pieces = ImuPieces(cuts, unseen, steady, integrate_rk4)
+        in_gap = [np.zeros(20, np.bool_) for _ in cuts]
+        self.intervals = ImuIntervals(cuts, in_gap, steady, integrate_rk4)
         exposures = path.pose(true.imu_ns + round(1e9 * delay_s))
         frames = [observe(rig, T, landmarks, 0, SETTINGS.pixel_sigma, rng) for T in exposures]
-        self.pixels = window_pixels(frames, np.arange(len(landmarks)), 150)
+        self.pixels = keyframe_pixels(frames, np.arange(len(landmarks)), 150)
         self.true = replace(
             true, gyro=data.gyro[::20], gyro_bias=gyro_bias, accel_bias=accel_bias,
             offset_s=delay_s,
         )  # fmt: skip
         off = np.zeros(true.size)
-        scale = np.repeat([2e-3, 1e-2, 0.2], 3)  # what a closed-form start leaves
+        scale = np.repeat([2e-3, 1e-2, 0.2], 3)  # as of a closed-form solution
         off[true.n_common :] = (scale * rng.normal(size=(N, 9))).ravel()
         guess = window_plus(self.true, off)
         self.guess = replace(guess, gyro_bias=np.zeros(3), accel_bias=np.zeros(3), offset_s=0.0)
@@ -123,11 +124,11 @@ class Trial:
 
     def factors(self, at: KeyframeWindow) -> list[Factor]:
         return [
-            imu_factor(at, self.pieces, G),
+            imu_factor(at, self.intervals, G),
             prior_factor(at, ACCEL_BIAS_SIGMA, OFFSET_SIGMA_S, np.empty(0)),
         ]
 
-    def refined(self) -> AdjustedWindow:
+    def adjusted(self) -> AdjustedWindow:
         return bundle_adjust(
             self.guess, self.factors, self.pixels, self.rig, SETTINGS, offset_is_free=True
         )
@@ -161,9 +162,9 @@ def trial(
 def test_recovers_poses_velocity_biases_and_offset(trial: Callable[[int], Trial]) -> None:
     drive = trial(1)
     before = drive.error(drive.guess)
-    refined = drive.refined()
-    error, sigma = drive.error(refined.window), np.sqrt(np.diag(refined.covariance))
-    n = refined.window.n_common
+    adjusted = drive.adjusted()
+    error, sigma = drive.error(adjusted.window), np.sqrt(np.diag(adjusted.covariance))
+    n = adjusted.window.n_common
     keyframes, was = error[n:].reshape(N, 9), before[n:].reshape(N, 9)
     assert np.abs(keyframes[:, :3]).max() < 0.004 < np.abs(was[:, :3]).max()
     assert np.linalg.norm(keyframes[:, 3:6]) < 0.8 * np.linalg.norm(was[:, 3:6])
@@ -173,29 +174,31 @@ def test_recovers_poses_velocity_biases_and_offset(trial: Callable[[int], Trial]
     assert np.abs(error[OFFSET]) < 0.001
     held = sigma > 1e-4  # not the world's place and heading
     assert (np.abs(error)[held] < 4.0 * sigma[held]).all()
-    assert 0.3 < refined.factor_rms < 1.3  # what was fitted to the noise is gone
-    assert 0.7 < refined.pixel_rms < 1.1
+    assert 0.3 < adjusted.factor_rms < 1.3  # what was fitted to the noise is gone
+    assert 0.7 < adjusted.pixel_rms < 1.1
 
 
 def test_points_are_recovered_with_the_poses(
     trial: Callable[[int], Trial], landmarks: FloatArray, rig: StereoRig
 ) -> None:
     drive = trial(2)
-    window = drive.refined().window
-    seen = place_points(window, drive.pixels, rig, SETTINGS)
-    usual = np.median((weighted(seen).residual ** 2).sum((1, 2)) / (seen.seen.sum((1, 2)) - 3))
+    window = drive.adjusted().window
+    seen = reproject_points(window, drive.pixels, rig, SETTINGS)
+    usual = np.median(
+        (robustly_weighted(seen).residual ** 2).sum((1, 2)) / (seen.seen.sum((1, 2)) - 3)
+    )
     assert 0.8 < usual < 1.2  # as far off as the pixels are noisy
 
 
 def test_errors_are_as_large_as_claimed(trial: Callable[[int], Trial]) -> None:
-    """NEES of the last instant's pose and velocity, of biases and time offset, over seeds."""
+    """NEES of the last keyframe's pose and velocity, of biases and time offset, over seeds."""
     n_trials, nees = 20, []
     for seed in range(n_trials):
         drive = trial(seed)
-        refined = drive.refined()
-        last = refined.window.columns(N - 1)
+        adjusted = drive.adjusted()
+        last = adjusted.window.columns(N - 1)
         chosen = np.r_[0 : OFFSET + 1, last.start : last.stop]
-        e, P = drive.error(refined.window)[chosen], refined.covariance[np.ix_(chosen, chosen)]
+        e, P = drive.error(adjusted.window)[chosen], adjusted.covariance[np.ix_(chosen, chosen)]
         nees.append(e @ np.linalg.solve(P, e))
     dof = OFFSET + 1 + 9
     low, high = np.asarray(chi2.ppf([0.025, 0.975], dof * n_trials)) / n_trials
@@ -208,8 +211,8 @@ def test_a_body_among_the_points_is_weighed_down(trial: Callable[[int], Trial]) 
     pixels = drive.pixels.copy()
     pixels[::5] += 3.0 * np.arange(N)[:, None] * np.array([1.0, 0.0, 1.0, 0.0])
     drive.pixels = pixels
-    refined = drive.refined()
-    error = drive.error(refined.window)[refined.window.n_common :].reshape(N, 9)
+    adjusted = drive.adjusted()
+    error = drive.error(adjusted.window)[adjusted.window.n_common :].reshape(N, 9)
     assert np.abs(error[:, 3:6]).max() < 0.08
     assert np.abs(error[:, 6:]).max() < 0.15  # three times as much with even weights
 
@@ -217,5 +220,5 @@ def test_a_body_among_the_points_is_weighed_down(trial: Callable[[int], Trial]) 
 def test_without_points_that_fit_it_refuses(trial: Callable[[int], Trial]) -> None:
     drive = trial(4)
     drive.pixels = drive.pixels[:5]
-    with pytest.raises(np.linalg.LinAlgError, match=r"\d of 5 points fit .*\(at least 8\)"):
-        drive.refined()
+    with pytest.raises(InitializationError, match=r"\d of 5 points fit .*\(at least 8\)"):
+        drive.adjusted()

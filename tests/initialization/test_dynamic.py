@@ -1,131 +1,63 @@
-"""Start in motion: velocity, gravity and gyro bias of a curvy path, or a refusal with numbers."""
+"""Dynamic initialization: velocity, gravity and biases of a curvy path, or why there are none."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from drive_fixtures import FRAME_NS, N_WINDOW_FRAMES, ImuDrive, intervals_of
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InitializationError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.initialization.dynamic import (
-    CannotInitialize,
     DynamicSolution,
     InitializationPrior,
+    align_with_imu,
     dynamic_initialization,
-    fit_path,
-    stereo_path,
 )
+from ovmot.initialization.stereo_path import stereo_path
 from ovmot.sim.imu import noisy_imu, perfect_imu
-from ovmot.types import FrontendFrame, ImuData, ImuNoise, ImuSample
-from ovmot.vio.imu_buffer import ImuBuffer
+from ovmot.types import FrontendFrame, ImuData, ImuNoise
 from ovmot.vio.state import GYRO_BIAS, THETA, VELOCITY, ImuState
 
 G = 9.81
-ROUNDING_M = 1e-12
-"""Some thousand last bits of the metres that a path goes."""
 PRIOR = InitializationPrior(G, 0.05)
-N_FRAMES = 13  # 1.2 s at 10 frames a second
-FRAME_NS = 100_000_000
-GYRO_BIAS_TRUE = np.array([0.02, -0.015, 0.03])
-ACCEL_BIAS_TRUE = np.array([0.04, -0.03, 0.05])
+MakeImuDrive = Callable[[int], ImuDrive]
 
 
-@dataclass(frozen=True)
-class Drive:
-    """What a start gets, and the truth at its first frame."""
-
-    frames: list[FrontendFrame]
-    imu: list[ImuData]
-    truth: ImuState
-
-
-MakeDrive = Callable[[int], Drive]
-
-
-def pieces(data: ImuData, stamps: list[int]) -> list[ImuData]:
-    buffer = ImuBuffer()
-    for stamp, gyro, accel in zip(data.timestamp_ns, data.gyro, data.accel, strict=True):
-        buffer.append(ImuSample(int(stamp), gyro, accel))
-    return [buffer.between(a, b) for a, b in pairwise(stamps)]
-
-
-@pytest.fixture
-def make_drive(
-    rig: StereoRig,
-    curvy_path: PoseSpline,
-    landmarks: FloatArray,
-    observe: Callable[..., FrontendFrame],
-    noise: ImuNoise,
-    start_ns: int,
-) -> MakeDrive:
-    """From a seed: another part of the path, with half a pixel of noise."""
-
-    def make(seed: int) -> Drive:
-        rng = np.random.default_rng(seed)
-        begin = start_ns + round(1e9 * rng.uniform(0.0, 4.0))
-        clean = perfect_imu(curvy_path, begin - 10_000_000 + 5_000_000 * np.arange(245))
-        data = noisy_imu(
-            clean, noise, rng, gyro_bias=GYRO_BIAS_TRUE, accel_bias=ACCEL_BIAS_TRUE
-        ).data
-        stamps = [begin + FRAME_NS * k for k in range(N_FRAMES)]
-        frames = [observe(rig, curvy_path.pose(t), landmarks, t, 0.5, rng) for t in stamps]
-        T = curvy_path.pose(begin)
-        truth = ImuState(
-            T[:3, :3], T[:3, 3], curvy_path.velocity(begin), GYRO_BIAS_TRUE, ACCEL_BIAS_TRUE
-        )
-        return Drive(frames, pieces(data, stamps), truth)
-
-    return make
-
-
-def start(drive: Drive, rig: StereoRig, noise: ImuNoise) -> DynamicSolution:
+def initialize(drive: ImuDrive, rig: StereoRig, noise: ImuNoise) -> DynamicSolution:
     return dynamic_initialization(drive.frames, drive.imu, rig, noise, PRIOR)
 
 
-def test_stereo_path_is_the_path_of_the_imu(
-    make_drive: MakeDrive, rig: StereoRig, curvy_path: PoseSpline
-) -> None:
-    drive = make_drive(1)
-    path = stereo_path(drive.frames, drive.imu, rig)
-    T = curvy_path.pose(np.array([f.timestamp_ns for f in drive.frames]))
-    expected = se3.inverse(T[0]) @ T
-    miss = np.linalg.norm(path.T_start_imu[:, :3, 3] - expected[:, :3, 3], axis=1)
-    # the first pose is given: its sigma is 0, what it misses is rounding
-    assert (miss <= 3.0 * path.sigma + ROUNDING_M).all()
-    assert miss[-1] < 0.05
-    assert (np.diff(path.sigma) > 0.0).all()
-
-
 def test_recovers_velocity_gravity_and_biases(
-    make_drive: MakeDrive,
+    make_imu_drive: MakeImuDrive,
     rig: StereoRig,
     noise: ImuNoise,
     start_error: Callable[[ImuState, ImuState], FloatArray],
 ) -> None:
     for seed in range(4):
-        drive = make_drive(seed)
-        error = start_error(drive.truth, start(drive, rig, noise).first)
+        drive = make_imu_drive(seed)
+        error = start_error(drive.truth, initialize(drive, rig, noise).first)
         assert np.linalg.norm(error[VELOCITY]) < 0.05
         assert np.linalg.norm(error[THETA]) < 0.02
         assert np.linalg.norm(error[GYRO_BIAS]) < 0.008
 
 
 def test_the_world_begins_at_the_first_frame(
-    make_drive: MakeDrive, rig: StereoRig, noise: ImuNoise
+    make_imu_drive: MakeImuDrive, rig: StereoRig, noise: ImuNoise
 ) -> None:
-    found = start(make_drive(3), rig, noise)
+    found = initialize(make_imu_drive(3), rig, noise)
     R = found.first.R_world_imu
     assert abs(np.arctan2(R[1, 0], R[0, 0])) < 1e-9
     np.testing.assert_array_equal(found.first.position, 0.0)
-    assert len(found.T_world_imu) == N_FRAMES
+    assert len(found.T_world_imu) == N_WINDOW_FRAMES
     np.testing.assert_allclose(found.T_world_imu[0], se3.make(R, np.zeros(3)), atol=1e-12)
 
 
-def test_exact_data_give_the_exact_start(
+def test_exact_data_give_the_exact_state(
     rig: StereoRig,
     curvy_path: PoseSpline,
     landmarks: FloatArray,
@@ -134,48 +66,48 @@ def test_exact_data_give_the_exact_start(
     start_ns: int,
     start_error: Callable[[ImuState, ImuState], FloatArray],
 ) -> None:
-    stamps = [start_ns + FRAME_NS * k for k in range(N_FRAMES)]
+    stamps = [start_ns + FRAME_NS * k for k in range(N_WINDOW_FRAMES)]
     frames = [observe(rig, curvy_path.pose(t), landmarks, t) for t in stamps]
     data = perfect_imu(curvy_path, start_ns - 10_000_000 + 2_500_000 * np.arange(490))
     T, zero = curvy_path.pose(start_ns), np.zeros(3)
     truth = ImuState(T[:3, :3], T[:3, 3], curvy_path.velocity(start_ns), zero, zero)
-    found = start(Drive(frames, pieces(data, stamps), truth), rig, noise)
+    found = initialize(ImuDrive(frames, intervals_of(data, stamps), truth), rig, noise)
     np.testing.assert_allclose(start_error(truth, found.first), 0.0, atol=2e-3)
 
 
 def test_refuses_an_imu_that_feels_other_gravity(
-    make_drive: MakeDrive, rig: StereoRig, noise: ImuNoise
+    make_imu_drive: MakeImuDrive, rig: StereoRig, noise: ImuNoise
 ) -> None:
-    drive = make_drive(2)
+    drive = make_imu_drive(2)
     imu = [ImuData(x.timestamp_ns, x.gyro, 1.3 * x.accel) for x in drive.imu]
     with pytest.raises(
-        CannotInitialize, match=r"gravity .* is 1[23]\.\d+ m/s² \(within 1.5 of 9.81\)"
+        InitializationError, match=r"gravity .* is 1[23]\.\d+ m/s² \(within 1.5 of 9.81\)"
     ):
-        start(replace(drive, imu=imu), rig, noise)
+        initialize(replace(drive, imu=imu), rig, noise)
 
 
 def test_refuses_an_imu_that_shakes_otherwise(
-    make_drive: MakeDrive, rig: StereoRig, noise: ImuNoise
+    make_imu_drive: MakeImuDrive, rig: StereoRig, noise: ImuNoise
 ) -> None:
-    drive = make_drive(2)
+    drive = make_imu_drive(2)
     begin = drive.imu[0].timestamp_ns[0]
     imu = []
     for x in drive.imu:
         t = 1e-9 * (x.timestamp_ns - begin)
         shake = 30.0 * np.sin(2.0 * np.pi * t / 0.6)[:, None] * [0.0, 1.0, 0.0]
         imu.append(ImuData(x.timestamp_ns, x.gyro, x.accel + shake))
-    with pytest.raises(CannotInitialize, match=r"differ by \d+\.\d sigma \(at most"):
-        start(replace(drive, imu=imu), rig, noise)
+    with pytest.raises(InitializationError, match=r"differ by \d+\.\d sigma \(at most"):
+        initialize(replace(drive, imu=imu), rig, noise)
 
 
 def test_refuses_frames_that_share_nothing(
-    make_drive: MakeDrive, rig: StereoRig, noise: ImuNoise
+    make_imu_drive: MakeImuDrive, rig: StereoRig, noise: ImuNoise
 ) -> None:
-    drive = make_drive(2)
+    drive = make_imu_drive(2)
     lost = [*drive.frames]
     lost[5] = replace(lost[5], feature_id=lost[5].feature_id + 100_000)
-    with pytest.raises(CannotInitialize, match="no common stereo motion among 0 tracked points"):
-        start(replace(drive, frames=lost), rig, noise)
+    with pytest.raises(InitializationError, match="no common stereo motion among 0 tracked points"):
+        initialize(replace(drive, frames=lost), rig, noise)
 
 
 N_TRUCK = 300
@@ -196,7 +128,7 @@ def test_the_nearest_and_largest_body_is_not_the_world(
     move against it so; a steady one is a world like any other, but a small one."""
     rng = np.random.default_rng(5)
     body = rng.uniform([9.0, -2.0, -1.0], [12.0, 1.5, 2.0], (N_TRUCK, 3))
-    stamps = [start_ns + FRAME_NS * k for k in range(N_FRAMES)]
+    stamps = [start_ns + FRAME_NS * k for k in range(N_WINDOW_FRAMES)]
     frames = []
     for t in stamps:
         points = np.concatenate([body + TRUCKS[truck](1e-9 * (t - start_ns)), landmarks[:150]])
@@ -204,15 +136,15 @@ def test_the_nearest_and_largest_body_is_not_the_world(
     clean = perfect_imu(curvy_path, start_ns - 10_000_000 + 5_000_000 * np.arange(245))
     zero = np.zeros(3)
     data = noisy_imu(clean, noise, rng, gyro_bias=zero, accel_bias=zero).data
-    imu = pieces(data, stamps)
+    imu = intervals_of(data, stamps)
     first = stereo_path(frames, imu, rig)
-    followed = np.unique(np.concatenate([f.feature_id for f in frames]))
-    n_truck = (followed < N_TRUCK).sum()
+    tracked = np.unique(np.concatenate([f.feature_id for f in frames]))
+    n_truck = (tracked < N_TRUCK).sum()
     # the images alone would take the truck
     assert (first.feature_id < N_TRUCK).sum() > 0.9 * n_truck
     if truck == "swerving":
-        with pytest.raises(CannotInitialize, match=r"m/s²|sigma"):
-            fit_path(first, imu, noise, PRIOR)
+        with pytest.raises(InitializationError, match=r"m/s²|sigma"):
+            align_with_imu(first, imu, noise, PRIOR)
     found = dynamic_initialization(frames, imu, rig, noise, PRIOR)
     assert (found.feature_id < N_TRUCK).sum() < 0.1 * n_truck
     T = curvy_path.pose(start_ns)

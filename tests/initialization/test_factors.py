@@ -1,4 +1,4 @@
-"""The factors of a start: derivatives, and residuals as large as they claim."""
+"""Factors of the bundle adjustment: Jacobians, and residuals as large as they claim."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -12,16 +12,16 @@ from ovmot.geometry.splines import PoseSpline
 from ovmot.initialization.factors import (
     GAUGE_SIGMA,
     Factor,
-    ImuPieces,
+    ImuIntervals,
     imu_factor,
     prior_factor,
-    rest_factor,
+    zero_velocity_factor,
 )
 from ovmot.initialization.window import KeyframeWindow, window_plus
 from ovmot.settings import CalibrationSettings
 from ovmot.sim.imu import noisy_imu, perfect_imu
 from ovmot.types import ImuData, ImuNoise
-from ovmot.vio.propagation import integrate_rk4
+from ovmot.vio.integrators import integrate_rk4
 
 G = 9.81
 N = 3
@@ -33,18 +33,20 @@ CALIBRATIONS = {
 }
 
 
-def cut(data: ImuData, noise: ImuNoise, samples_a_piece: int) -> ImuPieces:
-    """The samples in pieces that share their ends."""
-    ends = np.arange(0, len(data), samples_a_piece)
-    pieces = [
+def cut(data: ImuData, noise: ImuNoise, samples_each: int) -> ImuIntervals:
+    """The samples in intervals that share their ends."""
+    ends = np.arange(0, len(data), samples_each)
+    intervals = [
         ImuData(data.timestamp_ns[a : b + 1], data.gyro[a : b + 1], data.accel[a : b + 1])
         for a, b in pairwise(ends)
     ]
-    return ImuPieces(pieces, [np.zeros(len(p) - 1, np.bool_) for p in pieces], noise, integrate_rk4)
+    return ImuIntervals(
+        intervals, [np.zeros(len(p) - 1, np.bool_) for p in intervals], noise, integrate_rk4
+    )
 
 
 @pytest.fixture
-def pieces(curvy_path: PoseSpline, noise: ImuNoise, start_ns: int) -> ImuPieces:
+def intervals(curvy_path: PoseSpline, noise: ImuNoise, start_ns: int) -> ImuIntervals:
     """Exact samples at 500 Hz of N - 1 tenths of a second."""
     stamps = start_ns + 2_000_000 * np.arange(50 * (N - 1) + 1)
     return cut(perfect_imu(curvy_path, stamps), noise, 50)
@@ -65,19 +67,22 @@ def assert_derivative(
 
 @pytest.mark.parametrize("calibration", list(CALIBRATIONS))
 def test_derivative_of_the_imu_factor(
-    calibration: str, make_window: MakeWindow, pieces: ImuPieces, central_differences: Derivative
+    calibration: str,
+    make_window: MakeWindow,
+    intervals: ImuIntervals,
+    central_differences: Derivative,
 ) -> None:
     window = make_window(N, CALIBRATIONS[calibration])
     rng = np.random.default_rng(1)
     off = window_plus(window, rng.normal(0.0, 0.003, window.size))
     # the transition is that of continuous time, and the weights are taken as constant
-    assert_derivative(lambda at: imu_factor(at, pieces, G), off, central_differences, rtol=3e-3)
+    assert_derivative(lambda at: imu_factor(at, intervals, G), off, central_differences, rtol=3e-3)
 
 
-def test_derivative_of_the_rest_factor(
+def test_derivative_of_the_zero_velocity_factor(
     make_window: MakeWindow, central_differences: Derivative
 ) -> None:
-    assert_derivative(rest_factor, make_window(N), central_differences, rtol=1e-6)
+    assert_derivative(zero_velocity_factor, make_window(N), central_differences, rtol=1e-6)
 
 
 def test_derivative_of_the_prior_and_of_the_heading(
@@ -101,8 +106,8 @@ def test_derivative_of_the_prior_and_of_the_heading(
     assert r[3] == 0.0
 
 
-def test_the_truth_has_no_residual(make_window: MakeWindow, pieces: ImuPieces) -> None:
-    r, _ = imu_factor(make_window(N), pieces, G)
+def test_the_truth_has_no_residual(make_window: MakeWindow, intervals: ImuIntervals) -> None:
+    r, _ = imu_factor(make_window(N), intervals, G)
     assert np.abs(r).max() < 0.01
 
 
@@ -117,6 +122,6 @@ def test_residuals_of_noisy_samples_are_white(
         data = noisy_imu(clean, white, rng, gyro_bias=zero, accel_bias=zero).data
         r, _ = imu_factor(window, cut(data, white, 20), G)
         total, n = total + float(r @ r), n + len(r)
-    # the mean of a pair's two samples is less noisy than one: half of the noise at a piece's ends
+    # the mean of a pair's two samples has less noise than one: half at an interval's ends
     low, high = np.asarray(chi2.ppf([0.001, 0.999], n)) / n
     assert 0.95 * low < total / n < high

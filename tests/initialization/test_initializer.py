@@ -1,4 +1,4 @@
-"""How the filter starts: at rest if the rig rests, else in motion, else a reason."""
+"""The filter's initializer: static, else dynamic, else a reason."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -37,13 +37,13 @@ def imu_stamps(start_ns: int, span_s: float) -> IntArray:
 
 
 @pytest.fixture
-def start(rig: StereoRig, noise: ImuNoise) -> FilterInitializer:
+def initializer(rig: StereoRig, noise: ImuNoise) -> FilterInitializer:
     return FilterInitializer(rig, noise, Settings())
 
 
 @pytest.fixture
 def rest_imu(noise: ImuNoise, start_ns: int) -> ImuBuffer:
-    """Two seconds of a rig that rests, tilted."""
+    """Two seconds of a stationary, tilted rig."""
     t = imu_stamps(start_ns, 2.0)
     one, up = np.ones((len(t), 1)), so3.exp(np.array([0.1, -0.2, 0.0])).T @ [0.0, 0.0, 9.81]
     clean = ImuData(t, one * np.zeros(3), one * up)
@@ -56,7 +56,7 @@ def rest_imu(noise: ImuNoise, start_ns: int) -> ImuBuffer:
 def rest_frames(
     rig: StereoRig, landmarks: FloatArray, observe: Observe, start_ns: int
 ) -> list[FrontendFrame]:
-    """Six frames of a resting rig while 40 % of the points move."""
+    """Six frames of a stationary rig while 40 % of the points move."""
     T, rng = se3.make(so3.exp(np.array([0.1, -0.2, 0.0])), np.zeros(3)), np.random.default_rng(2)
     movers = (np.arange(len(landmarks)) % 10 < 4)[:, None]
     return [
@@ -65,34 +65,34 @@ def rest_frames(
     ]
 
 
-def started(found: tuple[MsckfFilter, FeatureTable] | str) -> tuple[MsckfFilter, FeatureTable]:
+def initialized(found: tuple[MsckfFilter, FeatureTable] | str) -> tuple[MsckfFilter, FeatureTable]:
     assert not isinstance(found, str), found
     return found
 
 
-def test_a_resting_rig_starts_at_its_last_frame(
-    start: FilterInitializer, rest_frames: list[FrontendFrame], rest_imu: ImuBuffer
+def test_a_stationary_rig_is_initialized_at_its_last_frame(
+    initializer: FilterInitializer, rest_frames: list[FrontendFrame], rest_imu: ImuBuffer
 ) -> None:
-    ego, table = started(start(rest_frames, rest_imu))
+    ego, table = initialized(initializer(rest_frames, rest_imu))
     state = ego.state
-    assert ego.standing
-    assert ego.settings is start.settings
+    assert ego.stationary
+    assert ego.settings is initializer.settings
     assert state.timestamp_ns == rest_frames[-1].timestamp_ns
     assert np.linalg.norm(state.imu.position) < 2e-3
     np.testing.assert_allclose(state.imu.gyro_bias, [0.01, 0.02, -0.01], atol=4e-3)
     stamps = [f.timestamp_ns for f in rest_frames]
     np.testing.assert_array_equal(state.clones.timestamp_ns, stamps)
     np.testing.assert_array_equal(table.frame_ns, stamps)
-    assert not table.used.any()  # images of a rest are left to the filter
+    assert not table.used.any()  # images of a stationary rig are left to the filter
 
 
-def test_errors_of_resting_starts_are_as_large_as_claimed(
+def test_errors_of_static_initialization_are_as_large_as_claimed(
     rig: StereoRig, landmarks: FloatArray, observe: Observe, noise: ImuNoise, start_ns: int,
     start_error: StartError,
 ) -> None:  # fmt: skip
     """Tilt is tied to the accelerometer bias: alone, either is known far worse than the two."""
     quiet = replace(noise, accel=5e-3)
-    start = FilterInitializer(rig, quiet, Settings())
+    initializer = FilterInitializer(rig, quiet, Settings())
     rng, n_trials, tied, gyro = np.random.default_rng(4), 60, [], []
     columns = np.r_[0:3, 12:15]
     t, zero = imu_stamps(start_ns, 0.6), np.zeros(3)
@@ -107,7 +107,7 @@ def test_errors_of_resting_starts_are_as_large_as_claimed(
         )  # fmt: skip
         points = se3.apply(T, landmarks[:60])
         frames = [observe(rig, T, points, start_ns + FRAME_NS * k, 0.1, rng) for k in range(6)]
-        ego, _ = started(start(frames, buffer_of(sensor.data)))
+        ego, _ = initialized(initializer(frames, buffer_of(sensor.data)))
         at = int(np.searchsorted(t, ego.state.timestamp_ns))
         truth = ImuState(R, zero, zero, sensor.gyro_bias[at], sensor.accel_bias[at])
         e, P = start_error(truth, ego.state.imu), ego.state.covariance
@@ -157,16 +157,16 @@ def drive(
     return make
 
 
-def test_a_driving_rig_starts_in_motion_at_its_last_frame(
-    start: FilterInitializer, drive: Drive, curvy_path: PoseSpline
+def test_a_moving_rig_is_initialized_at_its_last_frame(
+    initializer: FilterInitializer, drive: Drive, curvy_path: PoseSpline
 ) -> None:
     frames, imu = drive(3)
-    too_short = start(frames[:8], imu)
+    too_short = initializer(frames[:8], imu)
     assert isinstance(too_short, str)
-    assert too_short.startswith("not at rest: ")
-    assert "in motion: 0.70 s of frames (needs 1.2 s)" in too_short
-    ego, table = started(start(frames, imu))
-    assert not ego.standing
+    assert too_short.startswith("static initialization: ")
+    assert "dynamic initialization: 0.70 s of frames (needs 1.2 s)" in too_short
+    ego, table = initialized(initializer(frames, imu))
+    assert not ego.stationary
     last_ns = frames[-1].timestamp_ns
     assert ego.state.timestamp_ns == last_ns
     speed = float(np.linalg.norm(curvy_path.velocity(last_ns)))
@@ -179,16 +179,16 @@ def test_a_driving_rig_starts_in_motion_at_its_last_frame(
     np.testing.assert_array_equal(table.frame_ns, ego.state.clones.timestamp_ns)
 
 
-def test_nothing_is_used_twice_and_landmarks_to_be_are_left(
-    start: FilterInitializer, drive: Drive
+def test_nothing_is_used_twice_and_slam_candidates_are_left(
+    initializer: FilterInitializer, drive: Drive
 ) -> None:
     frames, imu = drive(4)
-    _, table = started(start(frames, imu))
-    spent = table.used.any(axis=0)
-    np.testing.assert_array_equal(table.used[:, spent], table.seen[:, spent])
+    _, table = initialized(initializer(frames, imu))
+    used = table.used.any(axis=0)
+    np.testing.assert_array_equal(table.used[:, used], table.seen[:, used])
     whole = table.seen.sum(axis=0) > 1
-    assert spent.sum() > 30
-    assert (table.seen_now & whole & ~spent).sum() == start.settings.filter.max_landmarks
+    assert used.sum() > 30
+    assert (table.seen_now & whole & ~used).sum() == initializer.settings.filter.max_landmarks
 
 
 TRUCKS: dict[str, Callable[[float], FloatArray]] = {
@@ -198,11 +198,11 @@ TRUCKS: dict[str, Callable[[float], FloatArray]] = {
 
 
 @pytest.mark.parametrize("truck", list(TRUCKS))
-def test_behind_a_truck_that_fills_the_view_it_starts_against_the_world(
-    truck: str, start: FilterInitializer, drive: Drive, curvy_path: PoseSpline
+def test_behind_a_truck_that_fills_the_view_it_moves_against_the_world(
+    truck: str, initializer: FilterInitializer, drive: Drive, curvy_path: PoseSpline
 ) -> None:
     frames, imu = drive(5, TRUCKS[truck])
-    ego, _ = started(start(frames, imu))
+    ego, _ = initialized(initializer(frames, imu))
     T, true = ego.state.clones.T_world_imu, curvy_path.pose(ego.state.clones.timestamp_ns)
     between, expected = se3.inverse(T[0]) @ T, se3.inverse(true[0]) @ true
     assert np.abs(between[:, :3, 3] - expected[:, :3, 3]).max() < 0.1
@@ -210,14 +210,14 @@ def test_behind_a_truck_that_fills_the_view_it_starts_against_the_world(
     assert np.linalg.norm(ego.state.imu.velocity) == pytest.approx(speed, abs=0.15)
 
 
-def test_errors_of_starts_in_motion_are_as_large_as_claimed(
-    start: FilterInitializer, drive: Drive, curvy_path: PoseSpline, start_error: StartError
+def test_errors_of_dynamic_initialization_are_as_large_as_claimed(
+    initializer: FilterInitializer, drive: Drive, curvy_path: PoseSpline, start_error: StartError
 ) -> None:
     """Tilt and velocity of the last frame: what does not depend on where the world begins."""
     n_trials, nees = 10, []
     for seed in range(n_trials):
         frames, imu = drive(seed)
-        ego, _ = started(start(frames, imu))
+        ego, _ = initialized(initializer(frames, imu))
         last_ns = frames[-1].timestamp_ns
         T, v, state = curvy_path.pose(last_ns), curvy_path.velocity(last_ns), ego.state.imu
         tilt = T[2, :3] @ state.R_world_imu.T  # where up stands: error in x and y
@@ -231,20 +231,20 @@ def test_errors_of_starts_in_motion_are_as_large_as_claimed(
 
 
 def test_both_reasons_are_given(
-    start: FilterInitializer, rig: StereoRig, curvy_path: PoseSpline, landmarks: FloatArray,
+    initializer: FilterInitializer, rig: StereoRig, curvy_path: PoseSpline, landmarks: FloatArray,
     observe: Observe, start_ns: int,
 ) -> None:  # fmt: skip
     stamps = [start_ns + FRAME_NS * k for k in range(13)]
     frames = [observe(rig, curvy_path.pose(t), landmarks[:3], t) for t in stamps]
-    reason = start(frames, buffer_of(perfect_imu(curvy_path, imu_stamps(start_ns, 1.3))))
+    reason = initializer(frames, buffer_of(perfect_imu(curvy_path, imu_stamps(start_ns, 1.3))))
     assert isinstance(reason, str)
-    assert "not at rest" in reason
-    assert "in motion: no common stereo motion among" in reason
+    assert "static initialization: " in reason
+    assert "dynamic initialization: no common stereo motion among" in reason
 
 
 def test_too_little_imu_is_a_reason(
-    start: FilterInitializer, rest_frames: list[FrontendFrame], rest_imu: ImuBuffer
+    initializer: FilterInitializer, rest_frames: list[FrontendFrame], rest_imu: ImuBuffer
 ) -> None:
-    assert "fewer than 3 frames over 0.5 s of IMU" in str(start(rest_frames[:2], rest_imu))
+    assert "fewer than 3 frames over 0.5 s of IMU" in str(initializer(rest_frames[:2], rest_imu))
     rest_imu.drop_before(rest_frames[-1].timestamp_ns - 100_000_000)
-    assert "fewer than 3 frames over 0.5 s of IMU" in str(start(rest_frames, rest_imu))
+    assert "fewer than 3 frames over 0.5 s of IMU" in str(initializer(rest_frames, rest_imu))

@@ -1,4 +1,4 @@
-"""The window of a start: its box-plus, the exposures' poses, and the filter's state."""
+"""The window of keyframes: its box-plus, the exposures' poses, and the filter's state."""
 
 from collections.abc import Callable
 
@@ -24,7 +24,7 @@ MakeWindow = Callable[..., KeyframeWindow]
 
 @pytest.fixture
 def window(make_window: MakeWindow) -> KeyframeWindow:
-    """Five instants, somewhat off, with a time offset and a deviating calibration."""
+    """Five keyframes, somewhat off, with a time offset and a deviating calibration."""
     window = make_window(5, CalibrationSettings(extrinsics=True))
     return window_plus(window, np.random.default_rng(1).normal(0.0, 0.02, window.size))
 

@@ -91,7 +91,7 @@ def test_an_update_confirms_and_a_prediction_widens() -> None:
     for k in range(1, 4):
         track = predict_track(track, k * frame_ns)
         moved = replace(m, position=m.position + 0.1 * k * m.velocity, feature_id=np.array([3, 9]))
-        track = update_track(track, moved, k * frame_ns)
+        track = update_track(track, moved, k * frame_ns, settings)
     assert (track.state, track.hits) == (TrackState.CONFIRMED, 4)
     assert track.feature_id.tolist() == [1, 2, 3, 9]
     np.testing.assert_allclose(track.position, moved.position)

@@ -86,7 +86,7 @@ KINDS = ("tiny.bag", "tiny.mcap", "tiny")
 SETTINGS = Settings.model_validate(
     {
         "tracker": {
-            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
+            "max_features": 120, "fast_threshold": 12,
             "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
         },
         "initialization": {"window_s": 0.5},

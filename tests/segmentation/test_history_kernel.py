@@ -20,7 +20,7 @@ from ovmot.segmentation.history_kernel import (
     weigh_compiled,
 )
 from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
-from ovmot.segmentation.stereo_history import StereoHistory, history_of, normalized_sigma
+from ovmot.segmentation.stereo_history import StereoHistory, history_of
 from ovmot.types import PixelNoise, PoseWindow
 
 SIGMA_PX = 0.3
@@ -70,7 +70,7 @@ def ego_covariance(history: StereoHistory, window: PoseWindow, rig: StereoRig) -
 
 def test_the_comparison_equals_its_twin(rig: StereoRig, case: Case) -> None:
     history, window, found = case
-    sigma, T10 = normalized_sigma(rig, SIGMA_PX), rig.T_cam1_cam0
+    sigma, T10 = rig.normalized_sigma(SIGMA_PX), rig.T_cam1_cam0
     p_then = triangulate_stereo(history.then, T10)
     T = window.T_world_imu @ rig.T_imu_cam0
     T_now_then = (se3.inverse(T[-1]) @ T[history.row])[:, None]
@@ -143,7 +143,7 @@ def test_the_quick_distance_is_that_of_the_oldest_row(
     rig: StereoRig, case: Case, distance: Callable[..., FloatArray]
 ) -> None:
     history, window, _ = case
-    sigma, T10 = normalized_sigma(rig, SIGMA_PX), rig.T_cam1_cam0
+    sigma, T10 = rig.normalized_sigma(SIGMA_PX), rig.T_cam1_cam0
     T = window.T_world_imu @ rig.T_imu_cam0
     T_now_then = se3.inverse(T[-1]) @ T[history.row]
     p_now = triangulate_stereo(history.now, T10)
@@ -161,7 +161,7 @@ def test_pairs_are_triangulated_as_by_the_twin(
     rig: StereoRig, case: Case, pairs: Callable[..., tuple[FloatArray, FloatArray]]
 ) -> None:
     uv, T10 = case[0].now, np.ascontiguousarray(rig.T_cam1_cam0)
-    sigma = normalized_sigma(rig, SIGMA_PX)
+    sigma = rig.normalized_sigma(SIGMA_PX)
     p, C = pairs(uv, T10, sigma)
     twin = triangulate_stereo(uv, T10)
     np.testing.assert_allclose(p, twin, rtol=1e-12)

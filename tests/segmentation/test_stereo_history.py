@@ -12,7 +12,6 @@ from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
 from ovmot.segmentation.stereo_history import (
     StereoHistory,
     look_back_rows,
-    normalized_sigma,
     stereo_history,
 )
 from ovmot.types import FrontendFrame, PixelNoise, PoseWindow
@@ -75,7 +74,7 @@ def test_positions_and_covariances_are_those_of_the_pairs(
     np.testing.assert_array_equal(history.then, then)
     p = triangulate_stereo(then, rig.T_cam1_cam0)
     np.testing.assert_allclose(history.p_then, p, rtol=1e-10)
-    C = stereo_covariance(p, rig.T_cam1_cam0, normalized_sigma(rig, NOISE.sigma_px))
+    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(NOISE.sigma_px))
     np.testing.assert_allclose(history.cov_then, C, rtol=1e-7, atol=1e-12)
     now = triangulate_stereo(m[-1, ::-1], rig.T_cam1_cam0)
     np.testing.assert_allclose(history.p_now, now, rtol=1e-10)

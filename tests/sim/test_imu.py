@@ -16,7 +16,7 @@ from ovmot.sim.profiles import Road, SmoothSteps
 from ovmot.sim.recorded_paths import recorded_path
 from ovmot.sim.walk import stroll, walk_path
 from ovmot.types import ImuData, ImuNoise
-from ovmot.vio.propagation import Integrator, integrate_discrete, integrate_rk4
+from ovmot.vio.integrators import Integrator, integrate_discrete, integrate_rk4
 
 ORIGIN = 1_500_000_000_000_000_000
 

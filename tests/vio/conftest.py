@@ -1,5 +1,6 @@
 """The fixtures that these tests share with those of other folders."""
 
+from drive_fixtures import make_drive
 from filter_fixtures import (
     curvy_path,
     landmarks,
@@ -16,6 +17,7 @@ from filter_fixtures import (
 __all__ = [
     "curvy_path",
     "landmarks",
+    "make_drive",
     "make_rig",
     "make_state",
     "make_window",

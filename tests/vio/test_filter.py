@@ -1,10 +1,11 @@
-"""The filter as a whole: its health, its place after a reset, and its state between frames."""
+"""The filter as a whole: consistency, window, health, place after a reset, state between frames."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from drive_fixtures import OFFSET_SIGMA, SIGMA, Drive, filled_window, pose_error
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError
@@ -15,11 +16,15 @@ from ovmot.geometry.splines import PoseSpline
 from ovmot.settings import Settings
 from ovmot.sim.imu import perfect_imu
 from ovmot.types import FrontendFrame, Health, ImuNoise, ImuSample
+from ovmot.vio import visual_update
 from ovmot.vio.filter import MsckfFilter
 from ovmot.vio.imu_buffer import ImuBuffer
 from ovmot.vio.state import (
+    GYRO_BIAS,
+    N_BASE,
     POSITION,
     THETA,
+    TIME_OFFSET,
     VELOCITY,
     ImuState,
     State,
@@ -30,6 +35,7 @@ from ovmot.vio.state import (
 )
 
 FRAME_NS = 100_000_000
+MakeDrive = Callable[..., Drive]
 
 
 @pytest.fixture
@@ -73,7 +79,7 @@ def test_without_features_health_falls_and_comes_back(
     assert healths[18] == Health.DEGRADED
     assert healths[44] == Health.DEGRADED
     assert healths[64] == Health.TRACKING
-    hopeless = replace(ego, corrected_ns=start_ns)
+    hopeless = replace(ego, updated_ns=start_ns)
     assert hopeless.health(start_ns + 64 * FRAME_NS) == Health.LOST
 
 
@@ -157,3 +163,116 @@ def test_the_state_between_frames(
     assert np.trace(estimate.covariance) > np.trace(ego.state.covariance[:15, :15])
     with pytest.raises(DatasetError):
         ego.estimate_at(start_ns + 10**11, imu)
+
+
+def test_errors_are_as_large_as_the_covariance_says(make_drive: MakeDrive) -> None:
+    nees, last = [], []
+    for seed in range(10):
+        drive = make_drive(seed)
+        for step in drive.run():
+            e, P = pose_error(step.ego, drive.path)
+            nees.append(e @ np.linalg.solve(P, e))
+        last.append(e[3:] / np.sqrt(np.diag(P)[3:]))
+        sigma = np.sqrt(np.diag(step.ego.state.covariance))
+        # after 15 m the images have estimated them
+        assert sigma[GYRO_BIAS].max() < 0.002
+        assert sigma[THETA].max() < 0.01
+        assert sigma[TIME_OFFSET] < 0.6 * OFFSET_SIGMA
+    assert np.abs(last).max() < 3.0
+    assert 4.0 < np.mean(nees) < 9.0  # 6 degrees of freedom
+
+
+def test_a_moving_rig_is_not_stationary_whatever_the_images_show(make_drive: MakeDrive) -> None:
+    drive = make_drive(1, 2.0)
+    assert not any(step.ego.stationary for step in drive.run())
+    # the same image again and again is not enough while the IMU says that we drive
+    frozen = [replace(drive.frames[0], timestamp_ns=f.timestamp_ns) for f in drive.frames]
+    assert not any(step.ego.stationary for step in replace(drive, frames=frozen[:4]).run())
+
+
+def test_monocular_features_update_too(make_drive: MakeDrive) -> None:
+    drive = make_drive(9, 3.0)
+    mono = []
+    for frame in drive.frames:
+        pixels, normalized = frame.pixels.copy(), frame.normalized.copy()
+        pixels[:, 2:] = normalized[:, 2:] = np.nan
+        mono.append(replace(frame, pixels=pixels, normalized=normalized))
+    *_, step = replace(drive, frames=mono).run()
+    e, P = pose_error(step.ego, drive.path)
+    assert e @ np.linalg.solve(P, e) < 22.5  # 99.9 % of chi-squared with 6
+    sigma = np.sqrt(np.diag(step.ego.state.covariance))
+    assert sigma[GYRO_BIAS].max() < 0.6 * SIGMA[GYRO_BIAS].max()
+
+
+def test_a_stationary_rig_marginalizes_the_newest_clone_and_its_rows_point_to_the_kept_one(
+    make_drive: MakeDrive,
+) -> None:
+    ego, table = filled_window(make_drive(10, 1.0), 4)
+    stamps = ego.state.clones.timestamp_ns
+    stationary, shared = replace(ego, stationary=True).marginalize(table)
+    np.testing.assert_array_equal(stationary.state.clones.timestamp_ns, stamps[:-1])
+    np.testing.assert_array_equal(shared.clone_ns, [*stamps[:-1], stamps[-2]])
+    np.testing.assert_array_equal(shared.frame_ns, stamps)
+    # the shared row is no measurement of the filter's
+    np.testing.assert_array_equal(
+        visual_update.clone_rows(shared, stationary.state), [True, True, True, False]
+    )
+    assert not visual_update.available_observations(shared, stationary.state)[-1].any()
+
+
+def test_a_moving_rig_marginalizes_the_oldest_clone_of_a_full_window(make_drive: MakeDrive) -> None:
+    drive = make_drive(11, 2.0)
+    n = drive.ego.settings.filter.max_clones
+    ego, table = filled_window(drive, n)
+    same, _ = ego.marginalize(table)
+    assert len(same.state.clones) == n
+    ego, table = filled_window(drive, n + 1)
+    stamps = ego.state.clones.timestamp_ns
+    less, table = ego.marginalize(table)
+    np.testing.assert_array_equal(less.state.clones.timestamp_ns, stamps[1:])
+    np.testing.assert_array_equal(table.frame_ns, stamps[1:])
+    assert less.state.covariance.shape == (N_BASE + 6 * n, N_BASE + 6 * n)
+
+
+def test_propagation_clones_the_pose_of_the_frame(make_drive: MakeDrive) -> None:
+    drive = make_drive(13, 1.0)
+    ego, _ = filled_window(drive, 5)
+    stamp = drive.frames[4].timestamp_ns
+    assert ego.state.timestamp_ns == ego.imu_needed_until(stamp) == ego.imu_time_ns(stamp)
+    assert ego.state.clones.timestamp_ns[-1] == stamp
+    np.testing.assert_array_equal(ego.window().T_world_imu[-1], ego.estimate(stamp).T_world_imu)
+    # a later moment of the frame is farther along the way and the turn
+    by_offset = ego.state.covariance[-6:, TIME_OFFSET] / OFFSET_SIGMA**2
+    rate = drive.path.angular_velocity(stamp)
+    np.testing.assert_allclose(by_offset[:3], rate, atol=0.1)
+    np.testing.assert_allclose(by_offset[3:], ego.state.imu.velocity, atol=1e-9)
+    assert np.linalg.norm(rate) > 0.2
+
+
+def test_estimate_and_window_are_the_state(make_drive: MakeDrive) -> None:
+    ego, _ = filled_window(make_drive(12, 1.0), 3)
+    estimate, window = ego.estimate(77), ego.window()
+    assert estimate.timestamp_ns == 77
+    np.testing.assert_array_equal(estimate.T_world_imu[:3, 3], ego.state.imu.position)
+    np.testing.assert_array_equal(estimate.T_world_imu[:3, :3], ego.state.imu.R_world_imu)
+    np.testing.assert_array_equal(estimate.covariance, ego.state.covariance[:15, :15])
+    assert estimate.time_offset_std_s == pytest.approx(OFFSET_SIGMA)
+    np.testing.assert_array_equal(window.T_world_imu, ego.state.clones.T_world_imu)
+    np.testing.assert_array_equal(window.covariance, ego.state.covariance[N_BASE:, N_BASE:])
+
+
+def test_clones_of_fast_frames_leave_before_the_newest(make_drive: MakeDrive) -> None:
+    drive = make_drive(0, 2.0)
+    settings = Settings.model_validate({"filter": {"clone_spacing_s": 0.2, "max_clones": 6}})
+    ego = replace(drive.ego, settings=settings)
+    table = empty_table()
+    for frame in drive.frames:
+        ego = ego.propagate(frame.timestamp_ns, drive.imu)
+        table = append_frame(table, frame)
+        ego, table = ego.update(table)
+        ego, table = ego.marginalize(table)
+        assert ego.window().timestamp_ns[-1] == frame.timestamp_ns
+    gaps = np.diff(ego.window().timestamp_ns) * 1e-9
+    # no two neighbours of a clone are nearer to each other than the spacing
+    assert (gaps[:-1] + gaps[1:] > 0.2).all()
+    assert gaps[:-1].max() <= 0.2 + 1e-9

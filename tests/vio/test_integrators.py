@@ -6,7 +6,8 @@ import pytest
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import ImuData, ImuNoise
-from ovmot.vio.propagation import INTEGRATORS, propagate_imu
+from ovmot.vio.integrators import INTEGRATORS
+from ovmot.vio.propagation import propagate_imu
 from ovmot.vio.state import ImuState
 
 G = 9.81
@@ -46,3 +47,20 @@ def test_errors_on_a_fast_motion_are_those_of_the_docs(name: str, noise: ImuNois
         off = fast_end(name, step_s, noise) - reference
         errors = np.linalg.norm(off.reshape(3, 3), axis=1)
         np.testing.assert_allclose(errors, expected, rtol=0.05)
+
+
+@pytest.mark.parametrize(("name", "order"), [("discrete", 2), ("analytic", 2), ("rk4", 4)])
+def test_rotation_under_linear_rates_falls_by_the_integrators_order(name: str, order: int) -> None:
+    def rates(t: FloatArray) -> FloatArray:
+        return np.asarray([1.0, -2.0, 0.5] + t[:, None] * np.array([-3.0, 4.0, 6.0]))
+
+    def turned(n: int, integrator: str) -> FloatArray:
+        t = np.linspace(0.0, 0.8, n + 1)
+        R: FloatArray = np.eye(3)
+        for step in INTEGRATORS[integrator](rates(t), 0.0 * rates(t), np.diff(t)).rotation:
+            R = np.asarray(R @ step)
+        return R
+
+    truth = turned(640, "rk4")
+    error = [float(np.linalg.norm(so3.log(truth.T @ turned(n, name)))) for n in (10, 20)]
+    assert error[0] / error[1] == pytest.approx(2.0**order, rel=0.25)

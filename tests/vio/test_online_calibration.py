@@ -13,16 +13,17 @@ from ovmot.geometry.splines import PoseSpline
 from ovmot.settings import CalibrationSettings
 from ovmot.sim.imu import perfect_imu
 from ovmot.types import ImuNoise
+from ovmot.vio.integrators import INTEGRATORS
 from ovmot.vio.msckf_features import linearize
 from ovmot.vio.online_calibration import (
-    Calibration,
+    OnlineCalibration,
     calibrated_rig,
     correct_imu,
     imu_intrinsics,
     imu_sensitivity,
     make_calibration,
 )
-from ovmot.vio.propagation import INTEGRATORS, propagate_imu
+from ovmot.vio.propagation import propagate_imu
 from ovmot.vio.state import N_BASE, ImuState, State, box_plus
 
 Derivative = Callable[..., FloatArray]
@@ -30,7 +31,7 @@ ALL = CalibrationSettings(extrinsics=True, intrinsics=True, imu_intrinsics=True,
 BIAS = (np.array([0.02, -0.01, 0.03]), np.array([0.1, 0.2, -0.1]))
 
 
-def deviating(rig: StereoRig, settings: CalibrationSettings = ALL) -> Calibration:
+def deviating(rig: StereoRig, settings: CalibrationSettings = ALL) -> OnlineCalibration:
     calibration, variance = make_calibration(rig, settings)
     deviation = np.sqrt(variance) * np.random.default_rng(4).normal(0.0, 1.0, len(variance))
     return replace(calibration, deviation=deviation)
@@ -44,7 +45,7 @@ def test_only_what_is_switched_on_is_estimated(rig: StereoRig) -> None:
     everything, variance = make_calibration(rig, ALL)
     assert len(everything) == len(variance) == 12 + 2 * 8 + 9 + 6 + 9
     assert (variance > 0.0).all()
-    starts = [part.where.start for part in everything.parts]
+    starts = [part.columns.start for part in everything.parts]
     assert starts == sorted(set(starts))
     again = calibrated_rig(rig, everything)
     np.testing.assert_array_equal(again.T_imu_cam1, rig.T_imu_cam1)
@@ -83,7 +84,7 @@ def test_imu_sensitivity(rig: StereoRig, central_differences: Derivative) -> Non
     gyro, accel = rng.normal(0.0, 1.0, (4, 3)), rng.normal(0.0, 6.0, (4, 3))
 
     def corrected(x: FloatArray) -> FloatArray:
-        moved = calibration.moved(x[6:])
+        moved = calibration.plus(x[6:])
         bias = (BIAS[0] + x[:3], BIAS[1] + x[3:6])
         return np.stack(correct_imu(gyro, accel, bias, imu_intrinsics(moved)))
 
@@ -91,7 +92,7 @@ def test_imu_sensitivity(rig: StereoRig, central_differences: Derivative) -> Non
     rate, force = imu_sensitivity(gyro, accel, BIAS, calibration)
     np.testing.assert_allclose(rate, expected[0], atol=1e-7)
     np.testing.assert_allclose(force, expected[1], atol=1e-7)
-    ideal = imu_sensitivity(gyro, accel, BIAS, Calibration())
+    ideal = imu_sensitivity(gyro, accel, BIAS, OnlineCalibration())
     np.testing.assert_array_equal(ideal[0][:, :, :3], np.broadcast_to(-np.eye(3), (4, 3, 3)))
 
 
@@ -120,7 +121,7 @@ def test_propagation_by_the_calibration(
     calibration = deviating(rig)
 
     def end(deviation: FloatArray) -> ImuState:
-        moved = calibration.moved(deviation)
+        moved = calibration.plus(deviation)
         result = propagate_imu(
             imu, imu, samples, noise, 9.81, INTEGRATORS[name], None, moved
         )  # fmt: skip

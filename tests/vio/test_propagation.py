@@ -14,11 +14,10 @@ from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.imu import noisy_imu, perfect_imu
 from ovmot.types import ImuData, ImuNoise, ImuSample
 from ovmot.vio.imu_buffer import ImuBuffer
+from ovmot.vio.integrators import INTEGRATORS, integrate_rk4
 from ovmot.vio.propagation import (
-    INTEGRATORS,
     Propagation,
     clone_pose,
-    integrate_rk4,
     propagate,
     propagate_imu,
 )
@@ -145,23 +144,6 @@ def test_error_under_constant_rates_falls_by_the_integrators_order(
         errors.append([np.linalg.norm(end.velocity - v), np.linalg.norm(end.position - p)])
     fall = np.array(errors[0]) / np.array(errors[1])
     np.testing.assert_allclose(fall, 2.0**order, rtol=0.25)
-
-
-@pytest.mark.parametrize(("name", "order"), [("discrete", 2), ("analytic", 2), ("rk4", 4)])
-def test_rotation_under_linear_rates_falls_by_the_integrators_order(name: str, order: int) -> None:
-    def rates(t: FloatArray) -> FloatArray:
-        return np.asarray([1.0, -2.0, 0.5] + t[:, None] * np.array([-3.0, 4.0, 6.0]))
-
-    def turned(n: int, integrator: str) -> FloatArray:
-        t = np.linspace(0.0, 0.8, n + 1)
-        R: FloatArray = np.eye(3)
-        for step in INTEGRATORS[integrator](rates(t), 0.0 * rates(t), np.diff(t)).rotation:
-            R = np.asarray(R @ step)
-        return R
-
-    truth = turned(640, "rk4")
-    error = [float(np.linalg.norm(so3.log(truth.T @ turned(n, name)))) for n in (10, 20)]
-    assert error[0] / error[1] == pytest.approx(2.0**order, rel=0.25)
 
 
 @integrators

@@ -11,7 +11,7 @@ from ovmot.vio.state import (
     State,
     box_minus,
     box_plus,
-    drop_clone,
+    marginalize_clone,
 )
 
 MakeState = Callable[..., State]
@@ -82,9 +82,9 @@ def test_clone_columns_move_that_clone_alone(make_state: MakeState) -> None:
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
-def test_drop_clone_marginalises(make_state: MakeState, index: int) -> None:
+def test_marginalize_clone_keeps_the_rest_s_distribution(make_state: MakeState, index: int) -> None:
     state = make_state(np.random.default_rng(6), 3)
-    less = drop_clone(state, index)
+    less = marginalize_clone(state, index)
     kept = [i for i in range(3) if i != index]
     np.testing.assert_array_equal(less.clones.timestamp_ns, state.clones.timestamp_ns[kept])
     np.testing.assert_array_equal(less.clones.T_world_imu, state.clones.T_world_imu[kept])

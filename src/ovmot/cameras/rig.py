@@ -83,6 +83,25 @@ class StereoRig:
         T = self.T_cam1_cam0
         return so3.hat(T[:3, 3]) @ T[:3, :3]
 
+    def normalized_sigma(self, pixel_sigma: float) -> FloatArray:
+        """Standard deviations (4,) of normalized coordinates: left x, y and right x, y.
+
+        `pixel_sigma`: that of each pixel coordinate; divided by the focal lengths, which neglects
+        distortion.
+        """
+        return np.asarray(
+            pixel_sigma / np.array([self.cam0.fx, self.cam0.fy, self.cam1.fx, self.cam1.fy])
+        )
+
+    def normalize(self, pixels: FloatArray) -> FloatArray:
+        """Normalized coordinates (..., 4) of stereo pixels (..., 4): left u, v and right u, v.
+
+        NaN where a camera did not see the point.
+        """
+        return np.concatenate(
+            [self.cam0.normalize(pixels[..., :2]), self.cam1.normalize(pixels[..., 2:])], axis=-1
+        )
+
     def with_orthonormal_rotations(self) -> "StereoRig":
         """The same rig with rotations cleaned of a calibration file's rounding."""
 

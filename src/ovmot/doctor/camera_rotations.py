@@ -49,7 +49,7 @@ def camera_rotation(before: FrameMatches, now: FrameMatches, rig: StereoRig) -> 
     translation give it well.
     """
     _, i, j = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
-    old, new = (_plane(pixels, rig) for pixels in (before.pixels[i], now.pixels[j]))
+    old, new = (rig.normalize(pixels) for pixels in (before.pixels[i], now.pixels[j]))
     depth = triangulate_stereo(old, rig.T_cam1_cam0)[:, 2]
     usable = np.isfinite(depth) & np.isfinite(new).all(axis=1)
     if usable.sum() < LEAST_POINTS:
@@ -57,7 +57,7 @@ def camera_rotation(before: FrameMatches, now: FrameMatches, rig: StereoRig) -> 
     old, new, depth = old[usable], new[usable], depth[usable]
     far = depth >= np.median(depth)
     rough = rotation_of_rays(old[far, :2], new[far, :2])
-    sigma = _PIXEL_SIGMA / np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+    sigma = rig.normalized_sigma(_PIXEL_SIGMA)
     best: StereoMotion | None = None
     # a wide gate lets a passing body in, a narrow one may leave the scene out
     for rotation_sigma in _ROTATION_SIGMAS:
@@ -67,8 +67,3 @@ def camera_rotation(before: FrameMatches, now: FrameMatches, rig: StereoRig) -> 
         if best is not None and best.inlier.sum() > 0.5 * len(old):
             break
     return np.full(3, np.nan) if best is None else so3.log(best.T_now_before[:3, :3].T)
-
-
-def _plane(pixels: FloatArray, rig: StereoRig) -> FloatArray:
-    left, right = rig.cam0.normalize(pixels[:, :2]), rig.cam1.normalize(pixels[:, 2:])
-    return np.concatenate([left, right], axis=1)

@@ -1,4 +1,4 @@
-"""The motion between two stereo views of the same points, robustly."""
+"""Robust motion between two stereo views of the same points."""
 
 from dataclasses import dataclass
 
@@ -13,21 +13,21 @@ from ovmot.geometry.triangulation import (
     stereo_covariance,
     triangulate_stereo,
 )
+from ovmot.physics import gate
 
-_MAX_HYPOTHESES = 80
-_GATE = 13.3  # 99 % of chi-squared with 4 degrees of freedom
-_JOINT_GATE = 15.1  # 5 degrees: two stereo views of a point
-_MOTION_GATE = 16.3  # 99.9 % of chi-squared with 3 degrees of freedom
-_HUBER = 2.0
+MIN_POINTS = 8
+"""Points that must agree on a motion."""
+_INLIER_PROBABILITY = 0.99
+_HUBER = 2.0  # standard deviations, from which on residuals count linearly
 _ITERATIONS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class StereoMotion:
-    """`T_now_before` (4, 4) of the left camera, its covariance (6, 6), inliers (N,).
+    """`T_now_before` (4, 4) of the left camera, its covariance (6, 6) in rad and m, inliers (N,).
 
-    The covariance is over (rotation, translation) of T_true = exp(δ) applied on the left, the
-    translation additive: R_true = exp(δθ) R, t_true = t + δt.
+    Errors are (rotation, translation) with the rotation on the left, the translation additive:
+    R_true = exp(δθ) R, t_true = t + δt.
     """
 
     T_now_before: FloatArray
@@ -43,52 +43,54 @@ def solve_stereo_motion(
     sigma: FloatArray,
     rotation_sigma: float,
 ) -> StereoMotion | None:
-    """Motion that carries stereo points `before` (N, 4) onto `now` (N, 4), plane coordinates.
+    """Motion of the left camera by stereo points seen as `before` (N, 4) and `now` (N, 4).
 
-    With the rotation known roughly (`R_now_before` (3, 3), standard deviation in rad), each point
-    alone proposes a translation; the proposal with most points within their covariance-scaled gate
-    is refined by iteratively reweighted Gauss-Newton, first with a gate that is as wide as the
-    rotation is uncertain, then together with the points. `sigma` (4,): standard deviations of
-    plane coordinates. None with fewer than 8 points that agree.
+    `before`, `now`: normalized coordinates, left x, y and right x, y, NaN where unseen; `sigma`
+    (4,): their standard deviations. `R_now_before` (3, 3): prior rotation of the left camera, with
+    standard deviation `rotation_sigma`, rad. None where fewer than 8 points agree.
+
+    With the prior rotation each point alone proposes a translation. The proposal with most points
+    inside their covariance-scaled gate is refined by iteratively reweighted Gauss-Newton: first the
+    motion alone, with a gate as wide as the rotation is uncertain, then together with the points.
     """
     p_before = triangulate_stereo(before, T_cam1_cam0)
     p_now = triangulate_stereo(now, T_cam1_cam0)
-    both: BoolArray = np.isfinite(np.concatenate([p_before, p_now], axis=1)).all(axis=1)
-    if both.sum() < 8:
+    valid: BoolArray = np.isfinite(np.concatenate([p_before, p_now], axis=1)).all(axis=1)
+    if valid.sum() < MIN_POINTS:
         return None
-    p, q, z = p_before[both], p_now[both], now[both]
+    p, q, z = p_before[valid], p_now[valid], now[valid]
     C = stereo_covariance(p, T_cam1_cam0, sigma)
-    # While the rotation is known but roughly, its uncertainty opens the gate.
+    # the uncertainty of the prior rotation widens the gate
     A = rotation_sigma * so3.hat(p)
-    W = _weights(C + A @ np.swapaxes(A, -1, -2), R_now_before, q, T_cam1_cam0, sigma)
+    W = _inverse_covariances(C + A @ np.swapaxes(A, -1, -2), R_now_before, q, T_cam1_cam0, sigma)
     t, inlier = _best_translation(p, q, z, W, R_now_before, T_cam1_cam0)
-    if inlier.sum() < 8:
+    if inlier.sum() < MIN_POINTS:
         return None
     T = _refine(se3.make(R_now_before, t), p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
     T, information, inlier = _refine_with_points(
-        T, before[both], z, p, sigma, R_now_before, rotation_sigma, T_cam1_cam0
+        T, before[valid], z, p, sigma, R_now_before, rotation_sigma, T_cam1_cam0
     )
-    if inlier.sum() < 8:
+    if inlier.sum() < MIN_POINTS:
         return None
-    all_inliers = np.zeros(len(both), dtype=np.bool_)
-    all_inliers[both] = inlier
+    all_inliers = np.zeros(len(valid), dtype=np.bool_)
+    all_inliers[valid] = inlier
     covariance = np.asarray(np.linalg.inv(information), np.float64)
     return StereoMotion(T, covariance, all_inliers)
 
 
 def motion_is_significant(motion: StereoMotion, min_motion_m: float) -> bool:
-    """Is its translation more than `min_motion_m`, and more than its own uncertainty?"""
+    """Is the translation longer than `min_motion_m`, and significant at 99.9 %?"""
     t = motion.T_now_before[:3, 3]
     distance = float(t @ np.linalg.solve(motion.covariance[3:, 3:], t))
-    return float(np.linalg.norm(t)) > min_motion_m and distance > _MOTION_GATE
+    return float(np.linalg.norm(t)) > min_motion_m and distance > gate(3, 0.999)
 
 
-def _weights(
+def _inverse_covariances(
     C: FloatArray, R: FloatArray, q: FloatArray, T_c1_c0: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """Inverse covariances (N, 4, 4) of the reprojection of points that scatter by C (N, 3, 3).
+    """Inverse covariances (N, 4, 4) of the reprojection of points of covariance C (N, 3, 3).
 
-    R turns C into the present view; derivatives are taken at the observed present points q.
+    R rotates C into the view now; derivatives are those at the points q (N, 3) observed now.
     """
     _, J = project_stereo(q, T_c1_c0)
     S = J @ (R @ C @ R.T) @ np.swapaxes(J, -1, -2) + np.diag(sigma**2)
@@ -96,16 +98,17 @@ def _weights(
 
 
 def _best_translation(
-    p: FloatArray, q: FloatArray, z: FloatArray, W: FloatArray, R: FloatArray, T_c1_c0: FloatArray
-) -> tuple[FloatArray, BoolArray]:
+    p: FloatArray, q: FloatArray, z: FloatArray, W: FloatArray, R: FloatArray, T_c1_c0: FloatArray,
+    *, max_proposals: int = 80,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """The proposal with most inliers; near points propose, since their depth is known best."""
-    turned = p @ R.T
-    nearest = np.argsort(q[:, 2], kind="stable")[:_MAX_HYPOTHESES]
-    proposals = q[nearest] - turned[nearest]
-    h, _ = project_stereo(turned[None] + proposals[:, None], T_c1_c0)
+    rotated = p @ R.T
+    nearest = np.argsort(q[:, 2], kind="stable")[:max_proposals]
+    proposals = q[nearest] - rotated[nearest]
+    h, _ = project_stereo(rotated[None] + proposals[:, None], T_c1_c0)
     r = z[None] - h
     distance = np.einsum("hni,nij,hnj->hn", r, W, r)
-    inlier = distance < _GATE
+    inlier = distance < gate(4, _INLIER_PROBABILITY)
     best = int(np.argmax(inlier.sum(1)))
     return proposals[best], inlier[best]
 
@@ -119,21 +122,21 @@ def _refine(
     rotation_sigma: float,
     T_c1_c0: FloatArray,
 ) -> FloatArray:
-    """Gauss-Newton with Huber weights, points beyond twice the gate left out."""
+    """Gauss-Newton on the motion with Huber weights; points beyond twice the gate are left out."""
+    bound = 2.0 * gate(4, _INLIER_PROBABILITY)
     for _ in range(_ITERATIONS):
-        turned = p @ T[:3, :3].T
-        h, J_point = project_stereo(turned + T[:3, 3], T_c1_c0)
+        rotated = p @ T[:3, :3].T
+        h, J_point = project_stereo(rotated + T[:3, 3], T_c1_c0)
         r = z - h
         distance = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", r, W, r), 1e-12))
-        inlier = distance**2 < 2.0 * _GATE
+        inlier = distance**2 < bound
         weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)
-        J = np.concatenate([J_point @ -so3.hat(turned), J_point], axis=2)
+        J = np.concatenate([J_point @ -so3.hat(rotated), J_point], axis=2)
         JtW = np.swapaxes(J, -1, -2) @ (W * weight[:, None, None])
         information = (JtW @ J).sum(0)
         gradient = (JtW @ r[..., None]).sum(0)[:, 0]
-        off = so3.log(R_prior @ T[:3, :3].T)
         information[:3, :3] += np.eye(3) / rotation_sigma**2
-        gradient[:3] += off / rotation_sigma**2
+        gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
         step = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
         if np.abs(step).max() < 1e-8:
@@ -153,10 +156,11 @@ def _refine_with_points(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Motion, its information (6, 6) and inliers: Gauss-Newton on the motion and all points.
 
-    Points left where stereo put them make the motion too short, since their depth errors are not
-    even. A point is (x, y, 1/z) in the earlier left view, and is eliminated from the normal
-    equations (Schur complement; B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1).
+    Points fixed where stereo triangulates them make the motion too short, since the errors of their
+    depth are not symmetric. A point is (x, y, 1/z) in the earlier left view, and is eliminated from
+    the normal equations (Schur complement; B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1).
     """
+    bound = 2.0 * gate(5, _INLIER_PROBABILITY)  # two stereo views without the point's coordinates
     information, inlier = np.eye(6), np.zeros(len(p), dtype=np.bool_)
     point = np.concatenate([before[:, :2], 1.0 / p[:, 2:]], axis=1)
     for _ in range(_ITERATIONS):
@@ -165,10 +169,10 @@ def _refine_with_points(
         A, r = np.concatenate([A0, A1], axis=1), np.concatenate([r0, r1], axis=1)
         At = np.swapaxes(A, -1, -2)
         N_inverse, g = inverse_3x3(At @ A), At @ r
-        left = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
-        distance = np.sqrt(np.maximum(left, 1e-12))
-        inlier = distance**2 < 2.0 * _JOINT_GATE
-        if not inlier.any():  # the wide gate has mixed two motions into one that no point shows
+        squared = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
+        distance = np.sqrt(np.maximum(squared, 1e-12))
+        inlier = distance**2 < bound
+        if not inlier.any():  # the wide gate has mixed two motions into one of neither
             break
         weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)[:, None, None]
         Jt, cross = np.swapaxes(J, -1, -2), np.swapaxes(A1, -1, -2) @ J
@@ -186,21 +190,22 @@ def _refine_with_points(
 
 
 def _residuals(
-    point: FloatArray, T: FloatArray, seen: FloatArray, sigma: FloatArray, T_c1_c0: FloatArray
+    point: FloatArray, T: FloatArray, z: FloatArray, sigma: FloatArray, T_c1_c0: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (N, 4, 1) of points (x, y, 1/z) moved by T, derivatives by point and motion.
+    """Whitened residuals (N, 4, 1) of points (x, y, 1/z) transformed by T, seen as z (N, 4).
 
-    All by standard deviation. Homogeneous points are scaled by 1/z, so that far ones do no harm.
+    And the Jacobians by point (N, 4, 3) and motion (N, 4, 6). Homogeneous points are scaled by 1/z,
+    so that far ones are no exception.
     """
     inverse_depth = point[:, 2:]
-    turned = np.concatenate([point[:, :2], np.ones_like(inverse_depth)], axis=1) @ T[:3, :3].T
-    q = turned + inverse_depth * T[:3, 3]
+    rotated = np.concatenate([point[:, :2], np.ones_like(inverse_depth)], axis=1) @ T[:3, :3].T
+    q = rotated + inverse_depth * T[:3, 3]
     h0, J0 = project_normalized(q)
     h1, J1 = project_normalized(q @ T_c1_c0[:3, :3].T + inverse_depth * T_c1_c0[:3, 3])
     by_q = np.concatenate([J0, J1 @ T_c1_c0[:3, :3]], axis=1) / sigma[:, None]
     by_depth = by_q @ T[:3, 3:]
     by_depth[:, 2:] += (J1 @ T_c1_c0[:3, 3:]) / sigma[2:, None]
     by_point = np.concatenate([by_q @ T[:3, :2], by_depth], axis=2)
-    by_motion = np.concatenate([by_q @ -so3.hat(turned), by_q * inverse_depth[..., None]], axis=2)
-    residual = (seen - np.concatenate([h0, h1], axis=1)) / sigma
+    by_motion = np.concatenate([by_q @ -so3.hat(rotated), by_q * inverse_depth[..., None]], axis=2)
+    residual = (z - np.concatenate([h0, h1], axis=1)) / sigma
     return residual[..., None], by_point, by_motion

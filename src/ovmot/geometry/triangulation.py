@@ -1,7 +1,7 @@
-"""Points from rays: one stereo pair, or many views, batched over features.
+"""Triangulation of one stereo pair, or of many views, batched over features.
 
-Image points are undistorted, normalised plane coordinates; a view that did not see a feature
-holds NaN.
+Image points are normalized coordinates (undistorted, focal length 1); NaN where a view did not see
+a feature.
 """
 
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ import numpy as np
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
-_MIN_INVERSE_DEPTH = 1e-4
-_CONVERGED = 1e-7  # plane units, far below a pixel
+MAX_DEPTH_M = 1e4
+"""Stereo and views say nothing of what is farther: it is at infinity."""
 
 
 def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
     """Points (..., 3) in the left camera, metres, from stereo pairs (..., 4).
 
-    The left ray is kept and the depth that fits the right point best is taken (least squares
-    along the ray, R. Hartley & A. Zisserman, ch. 12, with an exact left view). NaN where the pair
-    is incomplete or the point would lie behind a camera.
+    The point is on the left ray, at the depth that fits the right view best (least squares along
+    the ray; R. Hartley & A. Zisserman, ch. 12, with an exact left view). NaN where the pair is
+    incomplete or the point would lie behind a camera.
     """
     ray0 = np.concatenate([normalized[..., :2], np.ones_like(normalized[..., :1])], axis=-1)
     ray1 = ray0 @ T_cam1_cam0[:3, :3].T
@@ -30,12 +30,12 @@ def triangulate_stereo(normalized: FloatArray, T_cam1_cam0: FloatArray) -> Float
     b = x1 * t[2] - t[:2]
     with np.errstate(invalid="ignore", divide="ignore"):
         depth = (a * b).sum(-1) / (a * a).sum(-1)
-        behind = ~((depth > 0.0) & (depth * ray1[..., 2] + t[2] > 0.0) & (depth < 1e4))
+        behind = ~((depth > 0.0) & (depth * ray1[..., 2] + t[2] > 0.0) & (depth < MAX_DEPTH_M))
     return np.where(behind[..., None], np.nan, ray0 * depth[..., None])
 
 
 def project_normalized(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Plane coordinates (..., 2) of camera points (..., 3), and their derivative (..., 2, 3)."""
+    """Normalized coordinates (..., 2) of camera points (..., 3), and the Jacobian (..., 2, 3)."""
     z = points_cam[..., 2]
     xy = points_cam[..., :2] / z[..., None]
     J = np.zeros((*xy.shape[:-1], 2, 3))
@@ -46,7 +46,7 @@ def project_normalized(points_cam: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both views (..., 4) of left camera points (..., 3), and their derivative (..., 4, 3)."""
+    """Both views (..., 4) of points (..., 3) in the left camera, and the Jacobian (..., 4, 3)."""
     xy0, J0 = project_normalized(p_cam0)
     xy1, J1 = project_normalized(se3.apply(T_cam1_cam0, p_cam0))
     J = np.concatenate([J0, J1 @ T_cam1_cam0[:3, :3]], axis=-2)
@@ -54,17 +54,17 @@ def project_stereo(p_cam0: FloatArray, T_cam1_cam0: FloatArray) -> tuple[FloatAr
 
 
 def stereo_covariance(p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Covariance (..., 3, 3), m², of points (..., 3) that `triangulate_stereo` has made.
+    """Covariance (..., 3, 3), m², of points (..., 3) from `triangulate_stereo`, to first order.
 
-    `sigma` (4,) is the standard deviation of the four plane coordinates (pixels by focal length).
-    To first order: the left point moves the ray, and both points move the depth along it, as far
-    as they go along the epipolar line. NaN where the point is NaN.
+    `sigma` (4,): standard deviations of the normalized coordinates, see
+    `StereoRig.normalized_sigma`. The left error moves the ray, both errors move the depth along it
+    by their components along the epipolar line. NaN where the point is NaN.
     """
     _, J = project_stereo(p_cam0, T_cam1_cam0)
     J1 = J[..., 2:, :]
     depth = p_cam0[..., 2, None, None]
     ray = p_cam0[..., None] / depth
-    along = J1 @ ray  # of the right point, by depth
+    along = J1 @ ray  # derivative of the right view by the depth
     by_right = np.swapaxes(along, -1, -2) / (along * along).sum((-1, -2))[..., None, None]
     G = np.concatenate(
         [depth * (np.eye(3)[:, :2] - ray @ (by_right @ J1[..., :2])), ray @ by_right], axis=-1
@@ -75,7 +75,7 @@ def stereo_covariance(p_cam0: FloatArray, T_cam1_cam0: FloatArray, sigma: FloatA
 
 
 def inverse_3x3(matrix: FloatArray) -> FloatArray:
-    """Inverses (..., 3, 3) by cofactors: quick on large batches, NaN or inf where singular."""
+    """Inverses (..., 3, 3) by cofactors: fast on large batches, NaN or inf where singular."""
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrix, (-2, -1), (0, 1))
     A, B, C = e * i - f * h, f * g - d * i, d * h - e * g
     cofactors = np.empty_like(matrix)
@@ -88,16 +88,17 @@ def inverse_3x3(matrix: FloatArray) -> FloatArray:
     return inverse
 
 
-def squared_distance(off: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Squared Mahalanobis distances offᵀ C⁻¹ off (...,) of (..., 3) with covariances C."""
-    weighted = (inverse_3x3(covariance) @ off[..., None])[..., 0]
-    total: FloatArray = (off * weighted).sum(-1)
+def squared_distance(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distances eᵀ C⁻¹ e (...,) of errors (..., 3), covariances (..., 3, 3)."""
+    weighted = (inverse_3x3(covariance) @ error[..., None])[..., 0]
+    total: FloatArray = (error * weighted).sum(-1)
     return total
 
 
 @dataclass(frozen=True, slots=True)
 class ManyViewPoints:
-    """Points (F, 3) in world, their depth (F,) in the anchor view, and which are sound (F,)."""
+    """Points (F, 3) in world, m, their depth (F,) in the first view that saw them, m, and which of
+    them are valid (F,)."""
 
     p_world: FloatArray
     depth: FloatArray
@@ -115,9 +116,10 @@ def triangulate_many_views(
     """Points in world from F features seen in V views with known poses.
 
     `normalized` (F, V, 2), NaN where unseen; `T_view_world` (V, 4, 4); `sigma`: standard deviation
-    of a plane coordinate. A linear solution starts a Levenberg-Marquardt refinement of inverse
-    depth in the first view that saw the feature (J. Montiel et al., RSS 2006). A point is valid
-    with at least two views, its depth in range, and a mean error of at most 5 sigma.
+    of a normalized coordinate; `depth_range`: m. A linear solution is refined by
+    Levenberg-Marquardt in (x/z, y/z, 1/z) of the first view that saw the feature (J. Montiel et
+    al., RSS 2006). A point is valid with at least two views, its depth in range, and a root mean
+    square error of at most 5 sigma.
     """
     seen = np.isfinite(normalized[..., 0])
     n_features = len(normalized)
@@ -133,7 +135,7 @@ def triangulate_many_views(
     state = np.concatenate([np.nan_to_num(start), 1.0 / z[:, None]], axis=1)
     state, mean_square = _refine_inverse_depth(state, xy, T_view_anchor, weight, iterations)
 
-    depth = 1.0 / np.maximum(state[:, 2], _MIN_INVERSE_DEPTH)
+    depth = 1.0 / np.maximum(state[:, 2], 1.0 / MAX_DEPTH_M)
     p_anchor = np.concatenate([state[:, :2], np.ones((n_features, 1))], axis=1) * depth[:, None]
     p_world = se3.apply(se3.inverse(T_anchor_world), p_anchor)
     with np.errstate(invalid="ignore"):
@@ -160,9 +162,18 @@ def _linear_point(xy: FloatArray, T: FloatArray, weight: FloatArray) -> FloatArr
 
 
 def _refine_inverse_depth(
-    state: FloatArray, xy: FloatArray, T: FloatArray, weight: FloatArray, iterations: int
+    state: FloatArray,
+    xy: FloatArray,
+    T: FloatArray,
+    weight: FloatArray,
+    iterations: int,
+    *,
+    tolerance: float = 1e-7,
 ) -> tuple[FloatArray, FloatArray]:
-    """Levenberg-Marquardt on (alpha, beta, rho) (F, 3), each feature with its own damping."""
+    """Levenberg-Marquardt on (alpha, beta, rho) (F, 3), each feature with its own damping.
+
+    Until no step is larger than the `tolerance`, in normalized coordinates and 1/m.
+    """
     count = np.maximum(weight.sum(1), 1.0)
     damping = np.full(len(state), 1e-4)
     cost, N, g = _inverse_depth_system(state, xy, T, weight)
@@ -171,7 +182,7 @@ def _refine_inverse_depth(
         step = (inverse_3x3(N + damping[:, None, None] * diagonal) @ g[..., None])[..., 0]
         step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
         trial = state + step
-        trial[:, 2] = np.maximum(trial[:, 2], _MIN_INVERSE_DEPTH)
+        trial[:, 2] = np.maximum(trial[:, 2], 1.0 / MAX_DEPTH_M)
         trial_cost, trial_N, trial_g = _inverse_depth_system(trial, xy, T, weight)
         better = trial_cost <= cost
         state = np.where(better[:, None], trial, state)
@@ -179,7 +190,7 @@ def _refine_inverse_depth(
         g = np.where(better[:, None], trial_g, g)
         cost = np.where(better, trial_cost, cost)
         damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), 1e-9, 1e3)
-        if np.abs(step).max(initial=0.0) < _CONVERGED:
+        if np.abs(step).max(initial=0.0) < tolerance:
             break
     return state, cost / (2.0 * count)
 
@@ -192,10 +203,10 @@ def _inverse_depth_system(
     h = (T[..., :3, :3] @ ray[:, None, :, None])[..., 0] + state[:, None, 2:] * T[..., :3, 3]
     behind = (h[..., 2] < 1e-6) & (weight > 0.0)
     h = np.where(behind[..., None], np.array([0.0, 0.0, 1.0]), h)
-    plane, J_normalized = project_normalized(h)
+    predicted, J_normalized = project_normalized(h)
     columns = np.concatenate([T[..., :3, :2], T[..., :3, 3:]], axis=-1)
     J = J_normalized @ columns * weight[..., None, None]
-    r = (xy - plane) * weight[..., None]
+    r = (xy - predicted) * weight[..., None]
     cost = (r * r).sum((1, 2)) + 1e3 * behind.sum(1)
     J, r = J.reshape(len(J), -1, 3), r.reshape(len(r), -1, 1)
     Jt = np.swapaxes(J, -1, -2)

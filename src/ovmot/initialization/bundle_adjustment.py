@@ -1,10 +1,10 @@
-"""The refinement of a start: all frames of its window at once, in place of one after another.
+"""The initializer's bundle adjustment: all keyframes of its window at once.
 
-Gauss-Newton on poses, velocities, biases, time offset and calibration (`start_window`), from
-pre-integrated IMU factors and priors (`start_factors`) and the stereo reprojection of points, with
-a robust loss. Points are placed anew at each step and leave the equations by their Schur complement
-(B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1). What information is left gives the
-covariance with which the filter begins.
+Gauss-Newton on poses, velocities, biases, time offset and calibration (`window`), by preintegrated
+IMU factors and priors (`factors`) and by the stereo reprojection of points, with a robust loss.
+Points are triangulated anew at each step and leave the equations by their Schur complement
+(B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1). The inverse of the information that is left
+is the covariance with which the filter begins.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InitializationError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.triangulation import inverse_3x3, triangulate_many_views
@@ -32,17 +33,17 @@ from ovmot.vio.online_calibration import calibrated_rig
 
 _ITERATIONS = 15
 _CONVERGED = 0.01  # standard deviations
-_UNUSUAL = 1.5  # times the usual error, root mean square: such a point counts half
+_LOSS_SCALE = 1.5  # of the Geman-McClure loss, in units of the median error
 _MIN_POINTS = 8
-_LEAST_ERROR = 1e-4  # variance of the pixels, where simulated ones are exact
-Information = tuple[FloatArray, FloatArray]
+_MIN_VARIANCE = 1e-4  # of the pixels, where simulated ones are exact
+NormalEquations = tuple[FloatArray, FloatArray]
 """JᵀJ (N, N) and -Jᵀr (N,) of whitened residuals."""
 
 
 @dataclass(frozen=True, slots=True)
 class AdjustedWindow:
-    """The window at its best, its covariance (N, N), and the root mean squares of the whitened
-    residuals: `factor_rms` of the factors, `pixel_rms` of the images."""
+    """The window after bundle adjustment, its covariance (N, N), and the root mean squares of the
+    whitened residuals: `factor_rms` of the factors, `pixel_rms` of the images."""
 
     window: KeyframeWindow
     covariance: FloatArray
@@ -59,10 +60,11 @@ def bundle_adjust(
     *,
     offset_is_free: bool,
 ) -> AdjustedWindow:
-    """Refine a window seen as `pixels` (F, K, 4), NaN where unseen; `rig` by the files.
+    """Adjust a window by points seen as `pixels` (F, K, 4), NaN where unseen.
 
-    `factors` gives all that is known beside the images. Raises `LinAlgError` where the equations
-    have no solution.
+    `factors` gives all factors beside the images; `rig`: that of the calibration files;
+    `offset_is_free`: whether the time offset is estimated. Raises `InitializationError` where too
+    few points can be triangulated, `LinAlgError` where the normal equations are singular.
     """
     free = np.ones(window.size, dtype=np.bool_)
     free[OFFSET] = offset_is_free
@@ -86,102 +88,109 @@ def _normal_equations(
     rig: StereoRig,
     settings: FilterSettings,
 ) -> tuple[FloatArray, FloatArray, float, float]:
-    """JᵀJ, -Jᵀr, and root mean squares of the factors' and the images' residuals."""
+    """JᵀJ, -Jᵀr, and the root mean squares of the factors' and the images' residuals."""
     N, b, square, rows = np.zeros((window.size, window.size)), np.zeros(window.size), 0.0, 0
     for r, J in factors(window):
         N, b = N + J.T @ J, b - J.T @ r
         square, rows = square + float(r @ r), rows + len(r)
     if not len(pixels):
         return N, b, np.sqrt(square / rows), 0.0
-    placed = place_points(window, pixels, rig, settings)
-    if len(placed.seen) < _MIN_POINTS:
-        raise np.linalg.LinAlgError(
-            f"{len(placed.seen)} of {len(pixels)} points fit the window's poses"
+    points = reproject_points(window, pixels, rig, settings)
+    if len(points.seen) < _MIN_POINTS:
+        raise InitializationError(
+            f"{len(points.seen)} of {len(pixels)} points fit the window's poses"
             f" (at least {_MIN_POINTS})"
         )
-    seen = weighted(placed)
-    N_images, b_images = image_information(window, seen)
-    pixel_rms = np.sqrt(float((seen.residual**2).sum() / seen.seen.sum()))
+    points = robustly_weighted(points)
+    N_images, b_images = schur_complement(window, points)
+    pixel_rms = np.sqrt(float((points.residual**2).sum() / points.seen.sum()))
     return N + N_images, b + b_images, np.sqrt(square / rows), pixel_rms
 
 
-def place_points(
+def reproject_points(
     window: KeyframeWindow, pixels: FloatArray, rig: StereoRig, settings: FilterSettings
 ) -> Reprojection:
-    """Reprojection of the points (F', ) that can be placed by the window's poses."""
-    now = calibrated_rig(rig, window.calibration)
+    """Reprojection of the points that can be triangulated by the window's poses.
+
+    `pixels` (F, K, 4), NaN where unseen; `rig`: that of the calibration files.
+    """
+    calibrated = calibrated_rig(rig, window.calibration)
     clones = exposure_clones(window, window.imu_ns)
     T_imu_world = se3.inverse(clones.T_world_imu)
-    cameras = ((now.cam0, now.T_imu_cam0, 0), (now.cam1, now.T_imu_cam1, 2))
+    cameras = (
+        (calibrated.cam0, calibrated.T_imu_cam0, slice(0, 2)),
+        (calibrated.cam1, calibrated.T_imu_cam1, slice(2, 4)),
+    )
     T_views = np.concatenate([se3.inverse(T) @ T_imu_world for _, T, _ in cameras])
-    plane = [camera.normalize(pixels[..., at : at + 2]) for camera, _, at in cameras]
-    placed = triangulate_many_views(
-        np.concatenate(plane, axis=1), T_views, settings.pixel_sigma / now.cam0.fx,
+    views = [camera.normalize(pixels[..., side]) for camera, _, side in cameras]
+    triangulated = triangulate_many_views(
+        np.concatenate(views, axis=1), T_views, settings.pixel_sigma / calibrated.cam0.fx,
         depth_range=(settings.min_depth_m, settings.max_depth_m),
     )  # fmt: skip
-    points = placed.p_world[placed.valid]
+    p_world = triangulated.p_world[triangulated.valid]
     return reproject(
-        clones, now, pixels[placed.valid], (points, points), settings.pixel_sigma,
+        clones, calibrated, pixels[triangulated.valid], (p_world, p_world), settings.pixel_sigma,
         window.calibration,
     )  # fmt: skip
 
 
-def weighted(seen: Reprojection) -> Reprojection:
-    """The same equations, each point weighed by the loss of S. Geman and D. McClure.
+def robustly_weighted(points: Reprojection) -> Reprojection:
+    """The same equations, each point weighted by the loss of S. Geman and D. McClure.
 
-    A point is judged by all its views together, against the error that is usual among the points:
-    a car ahead fits any two frames, but not a second.
+    A point is judged by all its views together, in units of the median error of the points: a car
+    ahead fits any two frames, but not a third. Points up to the median error have weight 1.
     """
-    rows = np.maximum(seen.seen.sum((1, 2)) - 3, 1)
-    error = (seen.residual**2).sum((1, 2)) / rows
-    usual = max(float(np.median(error)), _LEAST_ERROR)
-    full = 1.0 + 1.0 / _UNUSUAL**2  # the usual point and better ones count in full
-    root = np.minimum(full / (1.0 + error / (_UNUSUAL**2 * usual)), 1.0)[:, None, None]
+    rows = np.maximum(points.seen.sum((1, 2)) - 3, 1)
+    error = (points.residual**2).sum((1, 2)) / rows
+    median = max(float(np.median(error)), _MIN_VARIANCE)
+    at_median = 1.0 + 1.0 / _LOSS_SCALE**2
+    weight = np.minimum(at_median / (1.0 + error / (_LOSS_SCALE**2 * median)), 1.0)[:, None, None]
     return Reprojection(
-        seen.residual * root, seen.by_pose * root[..., None], seen.by_point * root[..., None],
-        seen.by_calibration * root[..., None], seen.seen,
+        points.residual * weight, points.by_pose * weight[..., None],
+        points.by_point * weight[..., None], points.by_calibration * weight[..., None], points.seen,
     )  # fmt: skip
 
 
-def image_information(window: KeyframeWindow, seen: Reprojection) -> Information:
-    """JᵀJ and -Jᵀr of the images by the window, without the points.
+def schur_complement(window: KeyframeWindow, points: Reprojection) -> NormalEquations:
+    """JᵀJ and -Jᵀr of the images by the window, the points eliminated.
 
     Per point A = ∂h/∂point, J = ∂h/∂(common, pose of each view): JᵀJ - JᵀA (AᵀA)⁻¹ AᵀJ.
     """
     poses = exposure_poses(window)
-    n, (n_points, n_views, _) = window.n_common, seen.residual.shape
-    by_common = seen.by_pose @ poses.by_common
-    by_common[..., OFFSET + 1 :] += seen.by_calibration
-    by_keyframe = seen.by_pose @ poses.by_keyframe
+    n, (n_points, n_views, _) = window.n_common, points.residual.shape
+    by_common = points.by_pose @ poses.by_common
+    by_common[..., OFFSET + 1 :] += points.by_calibration
+    by_keyframe = points.by_pose @ poses.by_keyframe
     N, b = np.zeros((window.size, window.size)), np.zeros(window.size)
     flat = by_common.reshape(-1, n)
-    N[:n, :n], b[:n] = flat.T @ flat, flat.T @ seen.residual.ravel()
+    N[:n, :n], b[:n] = flat.T @ flat, flat.T @ points.residual.ravel()
     W = np.zeros((n_points, 3, window.size))
-    by_point = np.swapaxes(seen.by_point, -1, -2)
+    by_point = np.swapaxes(points.by_point, -1, -2)
     W[:, :, :n] = (by_point @ by_common).sum(1)
     W[:, :, n:] = np.moveaxis(by_point @ by_keyframe, 1, 2).reshape(n_points, 3, -1)
     for k in range(n_views):
-        here = window.columns(k)
+        columns = window.columns(k)
         J = by_keyframe[:, k].reshape(-1, KEYFRAME_SIZE)
-        N[here, here], b[here] = J.T @ J, J.T @ seen.residual[:, k].ravel()
-        N[:n, here] = by_common[:, k].reshape(-1, n).T @ J
-        N[here, :n] = N[:n, here].T
-    A = seen.by_point.reshape(n_points, -1, 3)
+        N[columns, columns], b[columns] = J.T @ J, J.T @ points.residual[:, k].ravel()
+        N[:n, columns] = by_common[:, k].reshape(-1, n).T @ J
+        N[columns, :n] = N[:n, columns].T
+    A = points.by_point.reshape(n_points, -1, 3)
     At = np.swapaxes(A, -1, -2)
     V_inverse = inverse_3x3(At @ A)
-    g = At @ seen.residual.reshape(n_points, -1, 1)
+    g = At @ points.residual.reshape(n_points, -1, 1)
     K = (V_inverse @ W).reshape(-1, window.size)
     return N - W.reshape(-1, window.size).T @ K, b - K.T @ g.ravel()
 
 
-def window_pixels(
+def keyframe_pixels(
     frames: Sequence[FrontendFrame], feature_id: IntArray, max_features: int
 ) -> FloatArray:
-    """Pixels (F, K, 4) of those of the features that were seen more than once, longest first."""
-    out = np.full((len(feature_id), len(frames), 4), np.nan)
+    """Pixels (F, K, 4), NaN where unseen, of those of the features that two frames or more have
+    seen; at most `max_features`, the longest tracks first."""
+    pixels = np.full((len(feature_id), len(frames), 4), np.nan)
     for k, frame in enumerate(frames):
-        _, a, b = np.intersect1d(feature_id, frame.feature_id, return_indices=True)
-        out[a, k] = frame.pixels[b]
-    views = np.isfinite(out[..., ::2]).any(axis=-1).sum(axis=1)
-    longest = np.argsort(-views, kind="stable")[:max_features]
-    return np.asarray(out[longest[views[longest] > 1]])
+        _, row, column = np.intersect1d(feature_id, frame.feature_id, return_indices=True)
+        pixels[row, k] = frame.pixels[column]
+    n_views = np.isfinite(pixels[..., ::2]).any(axis=-1).sum(axis=1)
+    longest = np.argsort(-n_views, kind="stable")[:max_features]
+    return np.asarray(pixels[longest[n_views[longest] > 1]])

@@ -1,4 +1,4 @@
-"""A start from a known state: for simulations, where the truth is at hand."""
+"""Initialization by a known state: for simulations, where the truth is at hand."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,10 +27,10 @@ from ovmot.vio.state import (
 
 @dataclass(frozen=True, slots=True)
 class InitialSigmas:
-    """One-sigma of a known start: rad, m, m/s, rad/s, m/s².
+    """Standard deviations of a known initial state: rad, m, m/s, rad/s, m/s².
 
-    Errors of pose and velocity are counted from the start on: what the sigmas of position and
-    heading say is never observed, stays in the covariance, and lowers every later NEES.
+    Position and heading are not observable: their initial covariance stays, and lowers every later
+    NEES.
     """
 
     rotation: float = 1e-3
@@ -43,15 +43,15 @@ class InitialSigmas:
 OPENVINS_SIGMAS = InitialSigmas(
     rotation=0.017, position=0.05, velocity=0.01, gyro_bias=0.02, accel_bias=0.02
 )
-"""What OpenVINS 2.6 assumes when its simulator starts it at the truth; for comparison with it."""
+"""What OpenVINS 2.6 assumes when its simulator initializes it by the truth; for comparison."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownStateInitializer:
-    """Gives a filter whose state at the frame `timestamp_ns` is `imu`.
+    """Initializes a filter whose state at the frame `timestamp_ns` is `imu`.
 
-    The state, biases included, is taken as given; nothing is drawn by `sigmas`. The world is that
-    of this state: heading and position need no alignment afterwards.
+    The state, biases included, is taken as given; `sigmas` makes its covariance, no error is drawn.
+    The world is that of this state: heading and position need no alignment afterwards.
     """
 
     timestamp_ns: int
@@ -66,13 +66,13 @@ class KnownStateInitializer:
         return frame_ns + round(self.rig.time_offset_s * 1e9)
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that must be reached before this frame is looked at."""
+        """The IMU time that must be reached before this frame can be used."""
         return self.imu_time_ns(frame_ns)
 
     def __call__(
         self, frames: Sequence[FrontendFrame], imu: ImuBuffer
     ) -> tuple[MsckfFilter, FeatureTable] | str:
-        """A filter at the first frame's time that has seen nothing yet, or why there is none."""
+        """A filter at the first frame's time and an empty table, or why there is none."""
         first_ns = frames[0].timestamp_ns
         if first_ns != self.timestamp_ns:
             return f"the known state is at {self.timestamp_ns} ns, the first frame at {first_ns} ns"

@@ -1,119 +1,150 @@
-"""Start at rest: a resting IMU gives tilt and gyro bias; no jerk is needed."""
+"""Static initialization: a stationary IMU gives tilt and gyro bias; no jerk is needed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InitializationError
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
-from ovmot.initialization.occupied_space import PIXEL_SIGMA, normalized_sigma, space_filled
+from ovmot.initialization.stereo_path import PIXEL_SIGMA, occupied_cells
+from ovmot.physics import REST_SHIFT_M
 from ovmot.settings import InitializationSettings
 from ovmot.types import FrontendFrame, ImuData, tracked_pixels
 from ovmot.vio.state import ImuState
 
 MAX_GRAVITY_ERROR = 1.5
-"""m/s² off gravity, of a start: more than the bias of any sensor, as wrong units are."""
+"""m/s² off gravity, of an initial state: beyond the bias of any sensor, as wrong units are."""
 
 _MIN_POINTS = 8
-_ROTATION_SIGMA = 0.01  # rad over the window, of a rig whose gyroscope is quiet
-_MIN_MOTION_M = 0.01  # less is a body rocking on its springs
+_ROTATION_SIGMA = 0.01  # rad over the window, of a rig whose gyroscope varies little
 
 
 @dataclass(frozen=True, slots=True)
-class StandingPoints:
-    """Features (N,) that kept their place over a window, their share of those in both its ends.
+class StaticSolution:
+    """The state of a stationary rig, and the features (N,) that kept their place."""
 
-    `space` is how much room they fill and `moving_space` how much those that move together most
-    do, 0 where none do; see `space_filled`.
+    state: ImuState
+    feature_id: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class StationaryPoints:
+    """Features (N,) that kept their place over a window, and their share of those tracked over it.
+
+    `cells`: how much space they occupy, and `moving_cells`: how much those that most move together
+    do, 0 where none do; see `occupied_cells`.
     """
 
     feature_id: IntArray
     share: float
-    space: int
-    moving_space: int
+    cells: int
+    moving_cells: int
 
 
-def imu_restless(imu: ImuData, settings: InitializationSettings, gravity_mps2: float) -> str | None:
-    """Why the IMU says that the rig can not rest, or None."""
+def static_initialization(
+    frames: Sequence[FrontendFrame],
+    imu: ImuData,
+    rig: StereoRig,
+    settings: InitializationSettings,
+    gravity: float,
+) -> StaticSolution:
+    """The state of a rig that is stationary over the frames and the IMU samples.
+
+    `gravity`: its magnitude, m/s². Raises `InitializationError` where IMU or images say that the
+    rig moves.
+    """
+    check_imu_is_stationary(imu, settings, gravity)
+    points = stationary_points(frames[0], frames[-1], rig, settings.rest_pixel)
+    check_images_are_stationary(points, settings)
+    return StaticSolution(stationary_state(imu), points.feature_id)
+
+
+def check_imu_is_stationary(imu: ImuData, settings: InitializationSettings, gravity: float) -> None:
+    """Raise `InitializationError` where the IMU says that the rig moves."""
     force = float(np.linalg.norm(imu.accel.mean(0)))
-    if abs(force - gravity_mps2) > MAX_GRAVITY_ERROR:
-        return (
+    if abs(force - gravity) > MAX_GRAVITY_ERROR:
+        raise InitializationError(
             f"accelerometer measures {force:.2f} m/s²"
-            f" (at rest within {MAX_GRAVITY_ERROR:g} of {gravity_mps2:g})"
+            f" (stationary within {MAX_GRAVITY_ERROR:g} of {gravity:g})"
         )
     gyro, accel = float(imu.gyro.std(0).max()), float(imu.accel.std(0).max())
     if gyro > settings.rest_gyro_rps:
-        return f"gyroscope varies by {gyro:.3f} rad/s (at rest below {settings.rest_gyro_rps:g})"
-    if accel > settings.rest_accel_mps2:
-        return (
-            f"accelerometer varies by {accel:.3f} m/s² (at rest below {settings.rest_accel_mps2:g})"
+        raise InitializationError(
+            f"gyroscope varies by {gyro:.3f} rad/s (stationary below {settings.rest_gyro_rps:g})"
         )
-    return None
+    if accel > settings.rest_accel_mps2:
+        raise InitializationError(
+            f"accelerometer varies by {accel:.3f} m/s²"
+            f" (stationary below {settings.rest_accel_mps2:g})"
+        )
 
 
-def standing_points(
-    first: FrontendFrame, last: FrontendFrame, rig: StereoRig, pixel: float
-) -> StandingPoints:
-    """The features that moved less than `pixel` in their image from one frame to another."""
+def stationary_points(
+    first: FrontendFrame, last: FrontendFrame, rig: StereoRig, max_pixels: float
+) -> StationaryPoints:
+    """The features that moved less than `max_pixels` in their image from one frame to another."""
     _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
-    moved = tracked_pixels(last.pixels[b]) - tracked_pixels(first.pixels[a])
-    still = np.linalg.norm(moved, axis=1) < pixel
+    displacement = tracked_pixels(last.pixels[b]) - tracked_pixels(first.pixels[a])
+    stationary = np.linalg.norm(displacement, axis=1) < max_pixels
     if len(a) < _MIN_POINTS:
-        return StandingPoints(last.feature_id[b[still]], 0.0, 0, 0)
+        return StationaryPoints(last.feature_id[b[stationary]], 0.0, 0, 0)
     before, now = first.normalized[a], last.normalized[b]
-    # A creep is a motion of all, though few points show it; a drive behind a truck one of the rest.
+    # a creeping rig moves all points, though few show it; one behind a truck all but the truck's
     everything = np.ones(len(a), dtype=np.bool_)
-    moving_space = max(_moving_space(before[c], now[c], rig) for c in (everything, ~still))
-    return StandingPoints(
-        last.feature_id[b[still]],
-        float(still.mean()),
-        space_filled(before[still], rig),
-        moving_space,
+    moving_cells = max(_moving_cells(before[c], now[c], rig) for c in (everything, ~stationary))
+    return StationaryPoints(
+        last.feature_id[b[stationary]],
+        float(stationary.mean()),
+        occupied_cells(before[stationary], rig),
+        moving_cells,
     )
 
 
-def _moving_space(before: FloatArray, now: FloatArray, rig: StereoRig) -> int:
-    """Room filled by those of stereo points (N, 4) that move together, 0 where they do not move."""
-    sigma = normalized_sigma(rig, PIXEL_SIGMA)
+def _moving_cells(before: FloatArray, now: FloatArray, rig: StereoRig) -> int:
+    """Cells occupied by those of the stereo points (N, 4) that move together, 0 without motion."""
+    sigma = rig.normalized_sigma(PIXEL_SIGMA)
     motion = solve_stereo_motion(before, now, rig.T_cam1_cam0, np.eye(3), sigma, _ROTATION_SIGMA)
-    if motion is None or not motion_is_significant(motion, _MIN_MOTION_M):
+    if motion is None or not motion_is_significant(motion, REST_SHIFT_M):
         return 0
-    return space_filled(before[motion.inlier], rig)
+    return occupied_cells(before[motion.inlier], rig)
 
 
-def image_restless(points: StandingPoints, settings: InitializationSettings) -> str | None:
-    """Why the picture says that the rig can not rest, or None.
+def check_images_are_stationary(points: StationaryPoints, settings: InitializationSettings) -> None:
+    """Raise `InitializationError` where the images say that the rig moves.
 
-    Traffic may fill most of the view of a rig that rests, and a car ahead at our speed stands in a
-    view that moves. What fills more room is the world.
+    Traffic may fill most of the view of a stationary rig, and a car ahead at the rig's own speed
+    keeps its place in the image. The body that occupies more space is the world.
     """
     if points.share < settings.rest_share:
-        return (
-            f"only {100 * points.share:.0f} % of the points stand still"
-            f" (at rest at least {100 * settings.rest_share:.0f} %)"
+        raise InitializationError(
+            f"only {100 * points.share:.0f} % of the points are stationary"
+            f" (at least {100 * settings.rest_share:.0f} %)"
         )
-    if points.moving_space >= max(points.space, 1):
-        return (
-            f"what moves together fills {points.moving_space} cells of space,"
-            f" what stands still {points.space} (at rest more)"
+    if points.moving_cells >= max(points.cells, 1):
+        raise InitializationError(
+            f"moving points occupy {points.moving_cells} cells of space, stationary ones"
+            f" {points.cells} (more when stationary)"
         )
-    return None
 
 
-def static_initialization(imu: ImuData) -> ImuState:
-    """The state of a resting IMU, with yaw, position and velocity zero.
+def stationary_state(imu: ImuData) -> ImuState:
+    """The state of a stationary IMU, with yaw, position and velocity zero.
 
-    The mean specific force levels the rig, the mean rate is the gyro bias. Tilt and accelerometer
-    bias cannot be told apart: the bias is taken as zero.
+    The mean specific force gives the tilt, the mean rate is the gyro bias. Tilt and accelerometer
+    bias are not separately observable: the bias is taken as zero.
     """
     zero = np.zeros(3)
-    return ImuState(_level(imu.accel.mean(0)), zero, zero, imu.gyro.mean(0), zero)
+    R = gravity_aligned_rotation(imu.accel.mean(0))
+    return ImuState(R, zero, zero, imu.gyro.mean(0), zero)
 
 
-def _level(force: FloatArray) -> FloatArray:
-    """Rotation body to world that turns the specific force to +z, with zero yaw of the x axis."""
-    R = so3.between_vectors(force, np.array([0.0, 0.0, 1.0]))
+def gravity_aligned_rotation(up: FloatArray) -> FloatArray:
+    """R_world_body (3, 3) that turns the direction `up` (3,) in body to +z, with zero yaw of the x
+    axis."""
+    R = so3.between_vectors(up, np.array([0.0, 0.0, 1.0]))
     yaw = np.arctan2(R[1, 0], R[0, 0])
     return so3.exp(np.array([0.0, 0.0, -yaw])) @ R

@@ -27,7 +27,7 @@ class FoundMotion:
 StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings, SegmentationSettings], bool]
 
 MAX_SIGMA_MPS = 1.5
-"""A direction in which a velocity is known no better than this, about a walker's, does not count."""
+"""A direction in which a velocity is known no better than this, a walking pace, does not count."""
 
 
 def is_static_by_covariance(

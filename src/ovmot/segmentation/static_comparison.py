@@ -12,7 +12,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.segmentation.history_kernel import compare_points_compiled
-from ovmot.segmentation.stereo_history import StereoHistory, normalized_sigma
+from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.types import PoseWindow
 
 
@@ -64,7 +64,7 @@ def compare_with_static(
             static_motion(history, window, rig),
             _ego_covariance(clone, window, rig),
             np.ascontiguousarray(rig.T_cam1_cam0),
-            normalized_sigma(rig, noise.sigma_px),
+            rig.normalized_sigma(noise.sigma_px),
             noise.drift_sigma_px(history.n_frames) / rig.cam0.fx,
             noise.drift_per_flow,
         ),

@@ -109,7 +109,7 @@ def history_of(
 ) -> StereoHistory:
     """The history of normalized stereo pairs `then` (L, N, 4) and `now` (N, 4)."""
     T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
-    sigma = normalized_sigma(rig, noise.sigma_px)
+    sigma = rig.normalized_sigma(noise.sigma_px)
     pairs = np.concatenate([then.reshape(-1, 4), now])
     p, C = triangulate_pairs_compiled(pairs, T_cam1_cam0, sigma)
     n_then = then.shape[0] * then.shape[1]
@@ -134,9 +134,3 @@ def look_back_rows(
     apart = np.abs(age_ns[None] - wanted_ns[:, None])  # integers: rounding decides no tie
     near = apart.min(1) < _TOLERANCE * wanted_ns
     return np.unique(np.append(rows[apart.argmin(1)[near]], rows[-1]))
-
-
-def normalized_sigma(rig: StereoRig, sigma_px: float) -> FloatArray:
-    """Standard deviations (4,) of a stereo pair's normalized coordinates."""
-    f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
-    return sigma_px / np.array([f0[0], f0[1], f1[0], f1[1]])

@@ -1,4 +1,4 @@
-"""The filter as a source of ego motion: predict, correct, forget, each giving a new one."""
+"""The MSCKF as the odometry source: propagate, update, marginalize; each returns a new filter."""
 
 from dataclasses import dataclass, replace
 
@@ -11,10 +11,11 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.settings import Settings
 from ovmot.types import CalibrationEstimate, EgoEstimate, Health, ImuNoise, PoseWindow
-from ovmot.vio import propagation
 from ovmot.vio.imu_buffer import ImuBuffer
+from ovmot.vio.integrators import INTEGRATORS
 from ovmot.vio.landmarks import no_landmarks
 from ovmot.vio.online_calibration import calibrated_rig, make_calibration
+from ovmot.vio.propagation import clone_pose, propagate, propagate_imu
 from ovmot.vio.slam_features import change_anchor
 from ovmot.vio.state import (
     N_IMU,
@@ -23,100 +24,106 @@ from ovmot.vio.state import (
     VELOCITY,
     Clones,
     State,
-    drop_clone,
+    marginalize_clone,
     pose_matrix,
 )
 from ovmot.vio.visual_update import update_with_features
-from ovmot.vio.zero_velocity import prediction_allows_standing, zero_velocity_update
-from ovmot.vio.zero_velocity_detection import image_is_stationary
+from ovmot.vio.zero_velocity import zero_velocity_detected, zero_velocity_update
 
 _SPACING_SLACK = 1.05  # frames do not come to the nanosecond
 
 
 @dataclass(frozen=True, slots=True)
 class MsckfFilter:
-    """A filter that runs; `standing` is its verdict on the newest frame.
+    """A filter that has been initialized.
 
-    `corrected_ns`: the newest frame that an update used, None before the first one.
+    `state`: estimate and covariance; `rig`: that of the calibration files; `noise`: of the IMU;
+    `stationary`: was zero velocity detected at the newest frame? `updated_ns`: stamp of the newest
+    frame that an update used, None before the first one.
     """
 
     state: State
     rig: StereoRig
     noise: ImuNoise
     settings: Settings
-    standing: bool = False
-    corrected_ns: int | None = None
+    stationary: bool = False
+    updated_ns: int | None = None
 
     def imu_time_ns(self, frame_ns: int) -> int:
         """A frame's time on the IMU's clock, by the present time offset."""
         return frame_ns + round(self.state.time_offset_s * 1e9)
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that must be reached before this frame can be predicted."""
+        """The IMU time that must be reached before the filter can propagate to this frame."""
         return self.imu_time_ns(frame_ns)
 
     def propagate(self, frame_ns: int, imu: ImuBuffer) -> "MsckfFilter":
-        """Propagate to the frame and clone its pose; `imu` must reach its time."""
-        end_ns = self.imu_time_ns(frame_ns)
-        state, rate = self._carried(end_ns, imu)
-        return replace(self, state=propagation.clone_pose(state, frame_ns, rate))
+        """Propagate to the frame and clone its pose.
 
-    def _carried(self, end_ns: int, imu: ImuBuffer) -> tuple[State, FloatArray]:
-        """The state at a time on the IMU's clock, and the angular velocity (3,) there."""
+        Raises `DatasetError` where `imu` does not reach the frame's time.
+        """
+        state, rate = self._propagated(self.imu_time_ns(frame_ns), imu)
+        return replace(self, state=clone_pose(state, frame_ns, rate))
+
+    def _propagated(self, end_ns: int, imu: ImuBuffer) -> tuple[State, FloatArray]:
+        """The state at a time on the IMU's clock, and the angular velocity (3,), rad/s, there."""
         if end_ns == self.state.timestamp_ns:
             return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias
         samples = imu.between(self.state.timestamp_ns, end_ns)
-        result = propagation.propagate_imu(
+        result = propagate_imu(
             self.state.imu,
             self.state.imu_first,
             samples,
             self.noise,
             self.settings.filter.gravity_mps2,
-            propagation.INTEGRATORS[self.settings.filter.integration],
+            INTEGRATORS[self.settings.filter.integration],
             imu.spacing_s(samples) > self.settings.imu.max_gap_s,
             self.state.calibration,
         )
-        return propagation.propagate(self.state, result, end_ns), result.angular_velocity
+        return propagate(self.state, result, end_ns), result.angular_velocity
 
     def update(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
-        """Zero velocity when standing, then the visual update."""
-        state, still = self.state, self.settings.zero_velocity
-        standing = (
-            still.enabled
-            and image_is_stationary(table, self.rig, still)
-            and prediction_allows_standing(state, still)
+        """Zero-velocity update where the rig is stationary, then the visual update."""
+        state, zero_velocity = self.state, self.settings.zero_velocity
+        stationary = zero_velocity.enabled and zero_velocity_detected(
+            state, table, self.rig, zero_velocity
         )
-        if standing:
-            state = zero_velocity_update(state, still)
-        leaving = self._leaving(standing) == 0
+        if stationary:
+            state = zero_velocity_update(state, zero_velocity)
+        oldest_is_marginalized = self._clone_to_marginalize(stationary) == 0
         state, table = update_with_features(
-            state, table, self.rig, self.settings.filter, oldest_leaves=leaving
-        )
-        now = int(state.clones.timestamp_ns[-1])
-        aided = state.covariance is not self.state.covariance
-        corrected = now if aided or self.corrected_ns is None else self.corrected_ns
-        return replace(self, state=state, standing=standing, corrected_ns=corrected), table
+            state, table, self.rig, self.settings.filter,
+            oldest_is_marginalized=oldest_is_marginalized,
+        )  # fmt: skip
+        updated_ns = self.updated_ns
+        if state.covariance is not self.state.covariance or updated_ns is None:
+            updated_ns = int(state.clones.timestamp_ns[-1])
+        return replace(self, state=state, stationary=stationary, updated_ns=updated_ns), table
 
     def marginalize(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
-        """Let a clone go; the frames of a standstill share the one that stays."""
+        """Marginalize a clone; the frames of a stationary rig share the clone that stays."""
         state, stamps = self.state, self.state.clones.timestamp_ns
-        leaving = self._leaving(self.standing)
-        if leaving is not None:
-            kept = -2 if leaving == len(stamps) - 1 else -1
-            anchor = self.rig.T_imu_cam0
-            state = change_anchor(state, int(stamps[leaving]), int(stamps[kept]), anchor)
-            state = drop_clone(state, leaving)
-        if self.standing and leaving is not None:
+        index = self._clone_to_marginalize(self.stationary)
+        if index is not None:
+            new_anchor = -2 if index == len(stamps) - 1 else -1
+            state = change_anchor(
+                state, int(stamps[index]), int(stamps[new_anchor]), self.rig.T_imu_cam0
+            )
+            state = marginalize_clone(state, index)
+        if self.stationary and index is not None:
             table = share_clone(table, int(stamps[-1]), int(stamps[-2]))
         table = keep_window(table, state.clones.timestamp_ns)
         return replace(self, state=state), table
 
-    def _leaving(self, standing: bool) -> int | None:
-        """Which clone leaves after this frame: the newest when standing, one that is too close to
-        its neighbours (before the newest: the next frame is predicted from that), or the oldest."""
+    def _clone_to_marginalize(self, stationary: bool) -> int | None:
+        """Index of the clone that leaves after this frame, None for none.
+
+        The newest where the rig is stationary; the one before it where its neighbours are closer
+        than the spacing (the next frame is predicted from the newest); the oldest of a full window.
+        """
         stamps = self.state.clones.timestamp_ns
         n, settings = len(stamps), self.settings.filter
-        if standing and n >= 2:
+        if stationary and n >= 2:
             return n - 1
         if n >= 3 and stamps[-1] - stamps[-3] <= _SPACING_SLACK * 1e9 * settings.clone_spacing_s:
             return n - 2
@@ -132,38 +139,38 @@ class MsckfFilter:
         return calibrated_rig(self.rig, self.state.calibration)
 
     def health(self, frame_ns: int) -> Health:
-        """How far the filter can be trusted at the newest frame."""
+        """How far the filter can be trusted at a frame, by its last update and its covariance."""
         limits = self.settings.health
-        unaided_s = 0.0 if self.corrected_ns is None else 1e-9 * (frame_ns - self.corrected_ns)
+        since_update_s = 0.0 if self.updated_ns is None else 1e-9 * (frame_ns - self.updated_ns)
         sigma = np.sqrt(np.diag(self.state.covariance)[VELOCITY].max())
-        if unaided_s > limits.lost_after_s or sigma > limits.lost_velocity_sigma_mps:
+        if since_update_s > limits.lost_after_s or sigma > limits.lost_velocity_sigma_mps:
             return Health.LOST
-        return Health.DEGRADED if unaided_s > limits.degraded_after_s else Health.TRACKING
+        return Health.DEGRADED if since_update_s > limits.degraded_after_s else Health.TRACKING
 
     def placed(self, T_world_imu: FloatArray) -> "MsckfFilter":
-        """The same filter, which has just started, its first pose at this position and heading.
+        """The same filter, just initialized, with its first pose at this position and heading.
 
         `T_world_imu` (4, 4). Positions and velocities turn about the vertical; rotation errors are
-        the body's and stay.
+        in the body frame and stay.
         """
         state = self.state
         T = state.clones.T_world_imu
         first = T[0] if len(T) else pose_matrix(state.imu)
         R = T_world_imu[:3, :3] @ first[:3, :3].T
         yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
-        turn = so3.exp(np.array([0.0, 0.0, yaw]))
-        T_new_old = se3.make(turn, T_world_imu[:3, 3] - turn @ first[:3, 3])
+        R_new_old = so3.exp(np.array([0.0, 0.0, yaw]))
+        T_new_old = se3.make(R_new_old, T_world_imu[:3, 3] - R_new_old @ first[:3, 3])
         imu = replace(
             state.imu,
-            R_world_imu=turn @ state.imu.R_world_imu,
+            R_world_imu=R_new_old @ state.imu.R_world_imu,
             position=se3.apply(T_new_old, state.imu.position),
-            velocity=turn @ state.imu.velocity,
+            velocity=R_new_old @ state.imu.velocity,
         )
         G = np.eye(len(state.covariance))
-        G[POSITION, POSITION] = G[VELOCITY, VELOCITY] = turn
+        G[POSITION, POSITION] = G[VELOCITY, VELOCITY] = R_new_old
         for k in range(len(T)):
-            moved = slice(state.clone_columns(k).start + 3, state.clone_columns(k).stop)
-            G[moved, moved] = turn
+            position = slice(state.clone_columns(k).start + 3, state.clone_columns(k).stop)
+            G[position, position] = R_new_old
         placed = replace(
             state,
             imu=imu,
@@ -174,12 +181,12 @@ class MsckfFilter:
         return replace(self, state=placed)
 
     def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
-        """The state carried by the IMU to a time on its clock, with covariance, between frames.
+        """The state, with covariance, propagated to a time on the IMU's clock, between frames.
 
         Raises `DatasetError` where the IMU does not reach it.
         """
-        carried = replace(self, state=self._carried(imu_ns, imu)[0])
-        return carried.estimate(imu_ns - round(1e9 * self.state.time_offset_s))
+        propagated = replace(self, state=self._propagated(imu_ns, imu)[0])
+        return propagated.estimate(imu_ns - round(1e9 * self.state.time_offset_s))
 
     def estimate(self, frame_ns: int) -> EgoEstimate:
         """The state at the newest frame, for the outputs."""
@@ -196,12 +203,12 @@ class MsckfFilter:
             T_imu_cam1=rig.T_imu_cam1,
             time_offset_s=s.time_offset_s,
             time_offset_std_s=float(np.sqrt(max(P[TIME_OFFSET, TIME_OFFSET], 0.0))),
-            standing=self.standing,
+            standing=self.stationary,
             health=self.health(frame_ns),
-            calibration=self._calibration(),
+            calibration=self._calibration_estimate(),
         )
 
-    def _calibration(self) -> CalibrationEstimate | None:
+    def _calibration_estimate(self) -> CalibrationEstimate | None:
         calibration = self.state.calibration
         if not len(calibration):
             return None
@@ -212,7 +219,7 @@ class MsckfFilter:
 
 
 def with_online_calibration(state: State, rig: StereoRig, settings: Settings) -> State:
-    """A state that starts, with the calibration that is to be estimated and room for landmarks."""
+    """A state without clones, augmented by the online calibration, with no landmarks yet."""
     calibration, variance = make_calibration(rig, settings.calibration)
     return replace(
         state,

@@ -1,4 +1,4 @@
-"""Ego motion from a pose file, in the filter's place: everything after the filter works on it."""
+"""Poses from a file as the odometry source, in place of the filter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,10 +17,10 @@ from ovmot.vio.imu_buffer import ImuBuffer
 
 @dataclass(frozen=True, slots=True)
 class GivenPoses:
-    """Poses of frames, known beforehand; a window of the newest is kept as the filter's clones are.
+    """Poses of frames, given beforehand; a window of the newest takes the place of the clones.
 
-    `pose_ns` (M,) rising, `T_world_imu` (M, 4, 4). Velocity is the difference of the last two
-    poses; biases are not known, hence NaN.
+    `pose_ns` (M,): stamps of frames, rising; `T_world_imu` (M, 4, 4). Velocity is the difference of
+    the last two poses; biases are unknown, hence NaN. `window_ns`: stamps of the window's poses.
     """
 
     pose_ns: IntArray
@@ -30,7 +30,7 @@ class GivenPoses:
     window_ns: tuple[int, ...] = ()
 
     def imu_time_ns(self, frame_ns: int) -> int:
-        """The frame's own stamp: no IMU is looked at."""
+        """The frame's own stamp: no IMU is used."""
         return frame_ns
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
@@ -44,11 +44,11 @@ class GivenPoses:
         return replace(self, window_ns=(*self.window_ns, frame_ns))
 
     def update(self, table: FeatureTable) -> tuple["GivenPoses", FeatureTable]:
-        """Nothing to correct: the poses are given."""
+        """No update: the poses are given."""
         return self, table
 
     def marginalize(self, table: FeatureTable) -> tuple["GivenPoses", FeatureTable]:
-        """Let the oldest pose of a full window go."""
+        """The window without its oldest pose where it is full."""
         kept = self.window_ns[-self.settings.window :]
         stamps = np.array(kept, dtype=np.int64)
         table = keep_window(table, stamps)
@@ -66,11 +66,11 @@ class GivenPoses:
         return self.rig
 
     def health(self, frame_ns: int) -> Health:
-        """Given poses are taken as they are."""
+        """Always `TRACKING`."""
         return Health.TRACKING
 
     def placed(self, T_world_imu: FloatArray) -> "GivenPoses":
-        """Given poses have their place."""
+        """The same source: given poses have their place."""
         return self
 
     def estimate_at(self, imu_ns: int, imu: ImuBuffer) -> EgoEstimate:
@@ -104,8 +104,8 @@ class GivenPoses:
         if len(self.window_ns) < 2:
             return np.full(3, np.nan)
         before, now = self.window_ns[-2:]
-        moved = self._pose(now)[:3, 3] - self._pose(before)[:3, 3]
-        velocity: FloatArray = moved / ((now - before) * 1e-9)
+        displacement = self._pose(now)[:3, 3] - self._pose(before)[:3, 3]
+        velocity: FloatArray = displacement / ((now - before) * 1e-9)
         return velocity
 
     def _sigma(self) -> FloatArray:
@@ -114,18 +114,18 @@ class GivenPoses:
 
 
 def imu_poses_from_cam0(T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
-    """T_world_imu (M, 4, 4) from poses of the left camera."""
+    """T_world_imu (M, 4, 4) from poses T_world_cam0 (M, 4, 4) of the left camera."""
     return T_world_cam0 @ se3.inverse(rig.T_imu_cam0)
 
 
 @dataclass(frozen=True, slots=True)
 class GivenPosesInitializer:
-    """The start of a run on given poses: at once. Frames without a pose are left out."""
+    """Initializes at once, by given poses. Frames without a pose are left out of a run."""
 
-    ego: GivenPoses
+    source: GivenPoses
 
     def imu_time_ns(self, frame_ns: int) -> int:
-        """The frame's own stamp: no IMU is looked at."""
+        """The frame's own stamp: no IMU is used."""
         return frame_ns
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
@@ -135,5 +135,5 @@ class GivenPosesInitializer:
     def __call__(
         self, frames: Sequence[FrontendFrame], imu: ImuBuffer
     ) -> tuple[GivenPoses, FeatureTable]:
-        """The ego source, which has seen nothing yet."""
-        return self.ego, empty_table()
+        """The source of the given poses, and an empty table."""
+        return self.source, empty_table()

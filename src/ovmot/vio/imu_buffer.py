@@ -1,4 +1,4 @@
-"""The IMU samples that a frame still needs, and cuts of them at exact times."""
+"""The IMU samples that frames still need, and intervals of them between exact times."""
 
 from bisect import bisect_left, bisect_right
 
@@ -11,7 +11,7 @@ from ovmot.types import ImuData, ImuSample
 
 
 class ImuBuffer:
-    """Samples in time order; `between` interpolates at both ends of a cut."""
+    """Samples in time order; `between` interpolates at both ends of an interval."""
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
@@ -41,7 +41,7 @@ class ImuBuffer:
         self._rates.append(np.concatenate([sample.gyro, sample.accel]))
 
     def between(self, start_ns: int, end_ns: int) -> ImuData:
-        """Samples from `start_ns` to `end_ns`, both ends interpolated between their neighbours.
+        """Samples from `start_ns` to `end_ns`, both ends interpolated linearly.
 
         Raises `DatasetError` when the buffer does not reach over both ends.
         """
@@ -51,15 +51,15 @@ class ImuBuffer:
         stamps = np.array(self._stamps[lo : hi + 1], dtype=np.int64)
         rates = np.array(self._rates[lo : hi + 1])
         inner = stamps[(stamps > start_ns) & (stamps < end_ns)]
-        cut = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
-        # Relative seconds: epoch nanoseconds do not fit into a double.
-        at, known = (cut - start_ns) * 1e-9, (stamps - start_ns) * 1e-9
-        columns = [np.interp(at, known, rates[:, i]) for i in range(6)]
+        interval = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
+        # seconds since the start: epoch nanoseconds do not fit into a double
+        at, measured_at = (interval - start_ns) * 1e-9, (stamps - start_ns) * 1e-9
+        columns = [np.interp(at, measured_at, rates[:, i]) for i in range(6)]
         values = np.stack(columns, axis=1)
-        return ImuData(cut, values[:, :3], values[:, 3:])
+        return ImuData(interval, values[:, :3], values[:, 3:])
 
     def at(self, stamp_ns: int) -> ImuSample:
-        """The reading at one time, interpolated; raises `DatasetError` as `between` does."""
+        """The sample at one time, interpolated; raises `DatasetError` as `between` does."""
         last = self.last_ns
         if last is not None and stamp_ns == last:
             end = self.between(stamp_ns - 1, stamp_ns)
@@ -67,27 +67,27 @@ class ImuBuffer:
         begin = self.between(stamp_ns, stamp_ns + 1)
         return ImuSample(stamp_ns, begin.gyro[0], begin.accel[0])
 
-    def spacing_s(self, cut: ImuData) -> FloatArray:
-        """Seconds between the real samples around each interval (n,) of a cut that was made here.
+    def spacing_s(self, interval: ImuData) -> FloatArray:
+        """Seconds (n,) between the measured samples around each pair of an interval from here.
 
-        An interval of the cut can be short and still lie in a long hole of the stream.
+        A pair of an interval can be short and still lie in a long gap of the stream.
         """
         spacing = [
             self._stamps[bisect_right(self._stamps, int(t))]
             - self._stamps[bisect_right(self._stamps, int(t)) - 1]
-            for t in cut.timestamp_ns[:-1]
+            for t in interval.timestamp_ns[:-1]
         ]
         return np.array(spacing) * 1e-9
 
     def drop_before(self, stamp_ns: int) -> None:
-        """Drop samples that no cut from `stamp_ns` on can need."""
-        keep = bisect_left(self._stamps, stamp_ns) - 1
-        if keep > 0:
-            del self._stamps[:keep], self._rates[:keep]
+        """Drop the samples that no interval from `stamp_ns` on needs."""
+        first = bisect_left(self._stamps, stamp_ns) - 1
+        if first > 0:
+            del self._stamps[:first], self._rates[:first]
 
 
 def integrated_rotation(samples: ImuData) -> FloatArray:
-    """R_start_end (3, 3) of the gyroscope alone, no bias taken off."""
+    """R_start_end (3, 3) by the gyroscope alone, its bias not removed."""
     dt = np.diff(samples.timestamp_ns) * 1e-9
     R = np.eye(3)
     for step in so3.exp(0.5 * (samples.gyro[:-1] + samples.gyro[1:]) * dt[:, None]):

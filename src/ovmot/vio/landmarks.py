@@ -1,4 +1,4 @@
-"""Landmarks kept in the state: their coordinates, each one's way to a point and its derivatives.
+"""Landmarks (SLAM features) kept in the state: their representations, and values with Jacobians.
 
 Coordinates are those of the world, or of an anchor: a clone, with axes and origin of the left
 camera as the calibration file has them, so that the calibration that is estimated does not enter.
@@ -17,16 +17,16 @@ NO_ANCHOR = -1
 
 
 class Coordinates(Protocol):
-    """A way to write a point as three numbers, of which the last `size` are estimated."""
+    """A parametrization of points by three numbers, of which the last `size` are estimated."""
 
     size: int
 
     def from_point(self, point: FloatArray) -> FloatArray:
-        """Values (..., 3) of points (..., 3)."""
+        """Values (..., 3) of points (..., 3), metres, in the frame of the representation."""
         ...
 
     def to_point(self, value: FloatArray) -> FloatArray:
-        """Points (..., 3) of values (..., 3)."""
+        """Points (..., 3), metres, of values (..., 3)."""
         ...
 
     def jacobian(self, value: FloatArray) -> FloatArray:
@@ -50,9 +50,10 @@ class Euclidean:
 
 
 class SphericalInverseDepth:
-    """Azimuth θ, elevation φ and inverse distance ρ: p = R (cosφ cosθ, cosφ sinθ, sinφ) / ρ.
+    """Azimuth θ, elevation φ, rad, and inverse distance ρ, 1/m.
 
-    `R` (3, 3) has the axes ahead, left and up as its columns; straight up θ is not defined.
+    p = R (cosφ cosθ, cosφ sinθ, sinφ) / ρ; the columns of `R` (3, 3) are the axes ahead, left and
+    up. Straight up θ is not defined.
     """
 
     size = 3
@@ -84,8 +85,8 @@ class SphericalInverseDepth:
         return np.stack([np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta), np.sin(phi)], -1)
 
 
-class PlaneInverseDepth:
-    """x/z, y/z, 1/z: p = (α, β, 1) / ρ."""
+class NormalizedInverseDepth:
+    """Normalized coordinates and inverse depth (x/z, y/z, 1/z): p = (α, β, 1) / ρ."""
 
     size = 3
 
@@ -105,15 +106,15 @@ class PlaneInverseDepth:
         return np.concatenate([value[..., :2], np.ones_like(value[..., 2:])], axis=-1)
 
 
-class SingleInverseDepth(PlaneInverseDepth):
-    """1/z alone is estimated; the bearing stays as first seen, its error is projected out."""
+class SingleInverseDepth(NormalizedInverseDepth):
+    """Only 1/z is estimated; the bearing stays as first seen, its error is projected out."""
 
     size = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Representation:
-    """What landmarks are written in, and whether that is relative to an anchor."""
+    """Coordinates of landmarks, and whether they are relative to an anchor clone."""
 
     coordinates: Coordinates
     anchored: bool
@@ -127,17 +128,19 @@ REPRESENTATIONS: dict[str, Representation] = {
     "global_inverse_depth": Representation(SphericalInverseDepth(_WORLD_AXES), anchored=False),
     "anchored_xyz": Representation(Euclidean(), anchored=True),
     "anchored_inverse_depth": Representation(SphericalInverseDepth(_CAMERA_AXES), anchored=True),
-    "anchored_msckf_inverse_depth": Representation(PlaneInverseDepth(), anchored=True),
+    "anchored_msckf_inverse_depth": Representation(NormalizedInverseDepth(), anchored=True),
     "anchored_single_inverse_depth": Representation(SingleInverseDepth(), anchored=True),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
-    """L landmarks: the tracker's ids (L,), values (L, 3) and first estimates of these.
+    """L landmarks (SLAM features) of the state.
 
-    `anchor_ns` (L,): the stamp of the clone they are relative to, `NO_ANCHOR` for those of the
-    world. `refused` (L,): how many updates in a row a gate refused.
+    `feature_id` (L,): the front end's ids; `value` (L, 3) in the representation's coordinates and
+    `first` (L, 3), the first estimates of these; `anchor_ns` (L,): stamp of the anchor clone,
+    `NO_ANCHOR` for coordinates of the world; `rejections` (L,): how many updates in a row the gate
+    rejected.
     """
 
     representation: Representation
@@ -145,18 +148,18 @@ class Landmarks:
     value: FloatArray
     first: FloatArray
     anchor_ns: IntArray
-    refused: IntArray
+    rejections: IntArray
 
     def __len__(self) -> int:
         return len(self.feature_id)
 
     @property
     def size(self) -> int:
-        """Error coordinates of each."""
+        """Number of error coordinates of each landmark: 3, or 1."""
         return self.representation.coordinates.size
 
-    def moved(self, error: FloatArray) -> "Landmarks":
-        """With an error vector (L * size,) added; first estimates stay."""
+    def plus(self, error: FloatArray) -> "Landmarks":
+        """With an error vector (L * size,) added to the values; first estimates stay."""
         if not len(self):
             return self
         value = self.value.copy()
@@ -168,30 +171,30 @@ class Landmarks:
         return np.ravel((self.value - reference.value)[:, 3 - self.size :])
 
     def rows(self, kept: BoolArray | IntArray) -> "Landmarks":
-        """Some of them."""
+        """The landmarks `kept` (L,), or of indices `kept` (K,)."""
         return replace(
             self,
             feature_id=self.feature_id[kept],
             value=self.value[kept],
             first=self.first[kept],
             anchor_ns=self.anchor_ns[kept],
-            refused=self.refused[kept],
+            rejections=self.rejections[kept],
         )
 
-    def joined(self, others: "Landmarks") -> "Landmarks":
-        """These, and others after them."""
+    def append(self, others: "Landmarks") -> "Landmarks":
+        """These landmarks, and `others` after them."""
         return replace(
             self,
             feature_id=np.concatenate([self.feature_id, others.feature_id]),
             value=np.concatenate([self.value, others.value]),
             first=np.concatenate([self.first, others.first]),
             anchor_ns=np.concatenate([self.anchor_ns, others.anchor_ns]),
-            refused=np.concatenate([self.refused, others.refused]),
+            rejections=np.concatenate([self.rejections, others.rejections]),
         )
 
 
 def no_landmarks(representation: str = "global_xyz") -> Landmarks:
-    """None yet, to be written in the representation of that name."""
+    """No landmarks, for those to come in the representation of this name."""
     ids = np.empty(0, dtype=np.int64)
     none = np.empty((0, 3))
     return Landmarks(REPRESENTATIONS[representation], ids, none, none, ids, ids)

@@ -1,4 +1,4 @@
-"""Visual measurements of MSCKF features: residuals and Jacobians of all of them at once.
+"""Visual measurements of MSCKF features: residuals, Jacobians and nullspace projection, batched.
 
 A. Mourikis & S. Roumeliotis, ICRA 2007. Clone poses enter the Jacobians at their first estimates,
 the residual at the latest ones.
@@ -12,25 +12,26 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import ManyViewPoints, triangulate_many_views
+from ovmot.physics import gates
 from ovmot.vio.online_calibration import (
+    CAMERA_INTRINSICS,
     CAMERA_POSES,
-    LENSES,
-    Calibration,
+    OnlineCalibration,
     camera_pose_jacobian,
     intrinsics_jacobian,
 )
 from ovmot.vio.state import Clones, State
-from ovmot.vio.update import chi2_bound
 
-_BESIDE = 0.1  # of the picture's width: a linearisation this far outside still holds
+_IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
 
 @dataclass(frozen=True, slots=True)
 class Reprojection:
-    """Errors of F features seen from K clones, in units of the pixel noise, and derivatives.
+    """Reprojection errors of F features seen from K clones, and the Jacobians of the prediction.
 
     `residual` (F, K, 4), `by_pose` (F, K, 4, 6), `by_point` (F, K, 4, 3), `by_calibration`
-    (F, K, 4, C), all zero where a view did not see the feature; `seen` (F, K, 4).
+    (F, K, 4, C): whitened by the pixel noise, zero where a view did not see the feature; `seen`
+    (F, K, 4).
     """
 
     residual: FloatArray
@@ -45,7 +46,7 @@ class FeatureSystem:
     """Linear measurements of F features over K clones, whitened by the pixel noise.
 
     `H` (F, M, C + 6K) over the calibration and the clones, `H_point` (F, M, 3), `residual` (F, M)
-    with M = 4K rows, zero where a view did not see the feature; `n_rows` (F,): how many are real.
+    with M = 4K rows, zero where a view did not see the feature; `n_rows` (F,): how many were seen.
     """
 
     H: FloatArray
@@ -56,7 +57,7 @@ class FeatureSystem:
 
 @dataclass(frozen=True, slots=True)
 class PointRows:
-    """What determines F points: R δp + H x = residual, with white noise of variance 1.
+    """The rows that determine F points: R δp + H x = residual, with white noise of variance 1.
 
     `R` (F, 3, 3), upper triangular, `H` (F, 3, C + 6K), `residual` (F, 3).
     """
@@ -66,16 +67,16 @@ class PointRows:
     residual: FloatArray
 
     def rows(self, kept: BoolArray) -> "PointRows":
-        """Those of some points."""
+        """Those of the points `kept` (F,)."""
         return PointRows(self.R[kept], self.H[kept], self.residual[kept])
 
 
 @dataclass(frozen=True, slots=True)
 class NullspaceSystem:
-    """Measurements of F features: rows that determine the points, and rows without them.
+    """Measurements of F features: rows that determine the points, and rows in their left nullspace.
 
     `H` (F, M - 3, C + 6K) and `residual` (F, M - 3) do not depend on the points; their noise is
-    independent of that of `points`. `dof` (F,): how many of these rows are real.
+    independent of that of `points`. `dof` (F,): degrees of freedom of the residual, rows seen - 3.
     """
 
     points: PointRows
@@ -91,7 +92,11 @@ def triangulate_features(
     sigma_px: float,
     depth_range: tuple[float, float],
 ) -> ManyViewPoints:
-    """Points of features seen as `normalized` (F, K, 4) from the state's K clones, by this rig."""
+    """Points (F, 3) in world of features seen as `normalized` (F, K, 4) from the state's K clones.
+
+    `rig`: as calibrated now; `sigma_px`: standard deviation of a pixel coordinate; `depth_range`:
+    least and greatest depth in m.
+    """
     n_features, n_clones, _ = normalized.shape
     T_imu_world = se3.inverse(state.clones.T_world_imu)
     T_views = np.stack(
@@ -107,16 +112,16 @@ def reproject(
     pixels: FloatArray,
     points: tuple[FloatArray, FloatArray],
     sigma_px: float,
-    calibration: Calibration,
+    calibration: OnlineCalibration,
 ) -> Reprojection:
-    """Reprojection errors in pixels / sigma and their derivatives, in the error coordinates.
+    """Reprojection errors in pixels / sigma, and the Jacobians by the error coordinates.
 
     `pixels` (F, K, 4), NaN where unseen; `points`: world points (F, 3) at the latest and at the
     first estimates; `rig` as calibrated now. With p_imu = Rᵀ(p - t): ∂p_imu/∂θ = [p_imu]x,
     ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
 
-    A view counts where the point it is linearised at lies in the picture too: beside it, and near
-    the camera's plane, the derivatives are huge and say nothing of what was seen.
+    A view counts only where the linearization point lies in the image or close beside it: elsewhere
+    1/z and the distortion polynomial explode, and the Jacobians do not hold.
     """
     shape = pixels.shape
     residual, by_pose = np.empty(shape), np.empty((*shape, 6))
@@ -125,7 +130,7 @@ def reproject(
     p_imu = se3.apply(se3.inverse(clones.T_world_imu)[None], points[0][:, None])
     p_first = se3.apply(first[None], points[1][:, None])
     by_theta = so3.hat(p_first)
-    in_picture = np.empty(shape, dtype=np.bool_)
+    in_image = np.empty(shape, dtype=np.bool_)
     for side, (camera, T_imu_cam) in enumerate(
         ((rig.cam0, rig.T_imu_cam0), (rig.cam1, rig.T_imu_cam1))
     ):
@@ -134,21 +139,21 @@ def reproject(
         residual[..., rows] = pixels[..., rows] - camera.project(se3.apply(T_cam_imu, p_imu))
         p_cam = se3.apply(T_cam_imu, p_first)
         at_first, J = camera.project_with_jacobian(p_cam)
-        in_picture[..., rows] = camera.inside(at_first, -_BESIDE * camera.width)[..., None]
+        in_image[..., rows] = camera.inside(at_first, -_IMAGE_MARGIN * camera.width)[..., None]
         J_imu = J @ T_cam_imu[:3, :3]
         by_point[..., rows, :] = J_imu @ first[None, :, :3, :3]
         by_pose[..., rows, :3] = J_imu @ by_theta
         by_pose[..., rows, 3:] = -by_point[..., rows, :]
-        where = calibration.where(CAMERA_POSES[side])
-        if where is not None:
-            by_pose_of_camera = camera_pose_jacobian(
+        columns = calibration.columns(CAMERA_POSES[side])
+        if columns is not None:
+            by_camera_pose = camera_pose_jacobian(
                 calibration, CAMERA_POSES[side], p_cam, T_cam_imu[:3, :3]
             )
-            by_calibration[..., rows, where] = J @ by_pose_of_camera
-        where = calibration.where(LENSES[side])
-        if where is not None:
-            by_calibration[..., rows, where] = intrinsics_jacobian(camera, p_cam)
-    seen = in_picture & np.isfinite(residual) & np.isfinite(by_pose).all(-1)
+            by_calibration[..., rows, columns] = J @ by_camera_pose
+        columns = calibration.columns(CAMERA_INTRINSICS[side])
+        if columns is not None:
+            by_calibration[..., rows, columns] = intrinsics_jacobian(camera, p_cam)
+    seen = in_image & np.isfinite(residual) & np.isfinite(by_pose).all(-1)
 
     def whitened(values: FloatArray) -> FloatArray:
         return np.where(seen[..., None], values / sigma_px, 0.0)
@@ -181,9 +186,10 @@ def linearize(
 
 
 def project_nullspace(system: FeatureSystem) -> NullspaceSystem:
-    """The same measurements turned so that only the first three rows of each depend on the point.
+    """Nullspace projection: the same measurements in rows of which only three depend on the point.
 
-    Three reflections, on all features at once, bring H_point to triangular form.
+    Three Householder reflections, on all features at once, bring H_point to triangular form; the
+    rows below are those of the left nullspace of H_point.
     """
     A = triangularize(
         np.concatenate([system.H_point, system.H, system.residual[..., None]], axis=2), 3
@@ -193,9 +199,9 @@ def project_nullspace(system: FeatureSystem) -> NullspaceSystem:
 
 
 def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
-    """Matrices (F, M, N), turned so that the first columns are zero below their diagonal.
+    """Matrices A (F, M, N) with the first `n_columns` columns zero below the diagonal.
 
-    Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
+    By Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
     """
     A = A.copy()
     for j in range(n_columns):
@@ -210,18 +216,18 @@ def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
 
 
 def innovation_distances(P: FloatArray, H: FloatArray, residual: FloatArray) -> FloatArray:
-    """Squared distance (F,) of each feature's residual from the state: rᵀ (H P Hᵀ + I)⁻¹ r.
+    """Squared Mahalanobis distance (F,) of each feature's innovation: rᵀ (H P Hᵀ + I)⁻¹ r.
 
     `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies; `residual` (F, M).
     """
-    HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)  # one product, not one a feature
+    HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)  # one product for all features
     S = HP @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
     distance: FloatArray = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
     return distance
 
 
 def chi2_gate(distance: FloatArray, dof: IntArray, multiplier: float) -> BoolArray:
-    """Which features (F,) agree with the state at 95 %, by `innovation_distances` of (F,) rows."""
-    bounds = np.array([chi2_bound(max(int(d), 1)) for d in dof])
+    """Features (F,) whose squared distance (F,) is below the 95 % gate of their `dof` (F,)."""
+    bounds = gates(np.maximum(dof, 1).astype(np.float64), 0.95)
     passed: BoolArray = (distance < multiplier * bounds) & (dof > 0)
     return passed

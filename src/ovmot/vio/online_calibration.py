@@ -1,9 +1,9 @@
-"""The calibration that is estimated online, as deviations from what the files say.
+"""The calibration that is estimated online, as deviations from that of the files.
 
 Each part that is switched on has its coordinates in the error state, after the time offset; all
 are additive. An extrinsic rotation is R_file exp(φ): its deviation by δ turns it by J_r(φ) δ.
 The IMU's model is that of D. Tedaldi et al. (ICRA 2014) with the gyroscope's sensitivity to
-acceleration: a = A (a_read - b_a), ω = W (ω_read - S a - b_g).
+acceleration: a = A (a_m - b_a), ω = W (ω_m - S a - b_g), with measured a_m and ω_m.
 """
 
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.settings import CalibrationSettings
 
 CAMERA_POSES = ("cam0_pose", "cam1_pose")
-LENSES = ("cam0_lens", "cam1_lens")
+CAMERA_INTRINSICS = ("cam0_lens", "cam1_lens")
 GYRO_MATRIX, ACCEL_MATRIX, G_SENSITIVITY = "gyro_matrix", "accel_matrix", "g_sensitivity"
 _UPPER = np.triu_indices(3)
 _FOCAL_AND_CENTER = 4
@@ -32,15 +32,19 @@ _COORDINATES = {
 
 @dataclass(frozen=True, slots=True)
 class CalibrationPart:
-    """One part: its name, and its coordinates among those of the whole calibration."""
+    """One part: its name, and its columns among the coordinates of the whole calibration."""
 
     name: str
-    where: slice
+    columns: slice
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """The parts being estimated, and their deviations (C,) from the files'."""
+class OnlineCalibration:
+    """The parts being estimated, and their deviations (C,) from those of the files.
+
+    Units: rad and m (poses), px (focal lengths and centers), 1 (distortion, IMU matrices),
+    rad/s per m/s² (g-sensitivity).
+    """
 
     parts: tuple[CalibrationPart, ...] = ()
     deviation: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -49,24 +53,24 @@ class Calibration:
         return len(self.deviation)
 
     def names(self) -> tuple[str, ...]:
-        """A name for each coordinate."""
+        """A name for each of the C coordinates."""
         out: list[str] = []
         for part in self.parts:
-            size = part.where.stop - part.where.start
+            size = part.columns.stop - part.columns.start
             labels = _COORDINATES.get(part.name.removeprefix("cam0_").removeprefix("cam1_"))
             out += [f"{part.name}_{labels[k] if labels else k}" for k in range(size)]
         return tuple(out)
 
-    def where(self, name: str) -> slice | None:
-        """The part's coordinates, None where it is not estimated."""
-        return next((part.where for part in self.parts if part.name == name), None)
+    def columns(self, name: str) -> slice | None:
+        """The part's columns, None where it is not estimated."""
+        return next((part.columns for part in self.parts if part.name == name), None)
 
-    def of(self, name: str, size: int) -> FloatArray:
-        """The part's deviation, zeros where it is not estimated."""
-        where = self.where(name)
-        return np.zeros(size) if where is None else self.deviation[where]
+    def deviation_of(self, name: str, size: int) -> FloatArray:
+        """The part's deviation (size,), zeros where it is not estimated."""
+        columns = self.columns(name)
+        return np.zeros(size) if columns is None else self.deviation[columns]
 
-    def moved(self, error: FloatArray) -> "Calibration":
+    def plus(self, error: FloatArray) -> "OnlineCalibration":
         """With an error vector (C,) added."""
         return replace(self, deviation=self.deviation + error) if len(self) else self
 
@@ -82,14 +86,14 @@ class ImuIntrinsics:
 
 def make_calibration(
     rig: StereoRig, settings: CalibrationSettings
-) -> tuple[Calibration, FloatArray]:
-    """What the settings switch on, with no deviation yet, and the variances (C,) of the start."""
+) -> tuple[OnlineCalibration, FloatArray]:
+    """The parts that the settings switch on, without deviation, and their prior variances (C,)."""
     sigmas: list[tuple[str, FloatArray]] = []
     if settings.extrinsics:
         pose = np.repeat([settings.rotation_sigma_rad, settings.position_sigma_m], 3)
         sigmas += [(name, pose) for name in CAMERA_POSES]
     if settings.intrinsics:
-        for name, camera in zip(LENSES, rig.cameras, strict=True):
+        for name, camera in zip(CAMERA_INTRINSICS, rig.cameras, strict=True):
             pixels = [settings.focal_sigma_px] * 2 + [settings.center_sigma_px] * 2
             distortion = [settings.distortion_sigma] * len(camera.distortion)
             sigmas.append((name, np.array([*pixels, *distortion])))
@@ -103,39 +107,44 @@ def make_calibration(
         parts.append(CalibrationPart(name, slice(start, start + len(sigma))))
         start += len(sigma)
     variance = np.concatenate([np.empty(0), *(sigma**2 for _, sigma in sigmas)])
-    return Calibration(tuple(parts), np.zeros(start)), variance
+    return OnlineCalibration(tuple(parts), np.zeros(start)), variance
 
 
-def calibrated_rig(rig: StereoRig, calibration: Calibration) -> StereoRig:
+def calibrated_rig(rig: StereoRig, calibration: OnlineCalibration) -> StereoRig:
     """The rig of the files with the deviations applied."""
     if not calibration.parts:
         return rig
     poses = [
-        _deviating_pose(T, calibration.of(name, 6))
+        _calibrated_pose(T, calibration.deviation_of(name, 6))
         for T, name in zip((rig.T_imu_cam0, rig.T_imu_cam1), CAMERA_POSES, strict=True)
     ]
     cameras = [
-        _deviating_camera(camera, calibration.of(name, _FOCAL_AND_CENTER + len(camera.distortion)))
-        for camera, name in zip(rig.cameras, LENSES, strict=True)
+        _calibrated_camera(
+            camera, calibration.deviation_of(name, _FOCAL_AND_CENTER + len(camera.distortion))
+        )
+        for camera, name in zip(rig.cameras, CAMERA_INTRINSICS, strict=True)
     ]
     return replace(rig, cam0=cameras[0], cam1=cameras[1], T_imu_cam0=poses[0], T_imu_cam1=poses[1])
 
 
-def imu_intrinsics(calibration: Calibration) -> ImuIntrinsics | None:
+def imu_intrinsics(calibration: OnlineCalibration) -> ImuIntrinsics | None:
     """The IMU's matrices, None where none of them is estimated: they are taken as ideal."""
-    if all(calibration.where(n) is None for n in (GYRO_MATRIX, ACCEL_MATRIX, G_SENSITIVITY)):
+    if all(calibration.columns(n) is None for n in (GYRO_MATRIX, ACCEL_MATRIX, G_SENSITIVITY)):
         return None
     A = np.eye(3)
-    A[_UPPER] += calibration.of(ACCEL_MATRIX, 6)
-    W = np.eye(3) + calibration.of(GYRO_MATRIX, 9).reshape(3, 3)
-    return ImuIntrinsics(W, A, calibration.of(G_SENSITIVITY, 9).reshape(3, 3))
+    A[_UPPER] += calibration.deviation_of(ACCEL_MATRIX, 6)
+    W = np.eye(3) + calibration.deviation_of(GYRO_MATRIX, 9).reshape(3, 3)
+    return ImuIntrinsics(W, A, calibration.deviation_of(G_SENSITIVITY, 9).reshape(3, 3))
 
 
 def correct_imu(
     gyro: FloatArray, accel: FloatArray, bias: tuple[FloatArray, FloatArray],
     intrinsics: ImuIntrinsics | None,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """True rates and forces (n, 3) from what was read, with biases (gyro, accel)."""
+    """True rates, rad/s, and specific forces, m/s² (n, 3), from measured ones (n, 3).
+
+    `bias`: those of gyroscope and accelerometer (3,).
+    """
     if intrinsics is None:
         return gyro - bias[0], accel - bias[1]
     force = (accel - bias[1]) @ intrinsics.accel_matrix.T
@@ -145,74 +154,82 @@ def correct_imu(
 
 def imu_sensitivity(
     gyro: FloatArray, accel: FloatArray, bias: tuple[FloatArray, FloatArray],
-    calibration: Calibration,
+    calibration: OnlineCalibration,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """∂ω/∂x and ∂a/∂x (n, 3, 6 + C) for x = (gyro bias, accel bias, calibration)."""
-    n, known = len(gyro), imu_intrinsics(calibration)
+    """∂ω/∂x and ∂a/∂x (n, 3, 6 + C) for x = (gyro bias, accel bias, calibration).
+
+    `gyro`, `accel` (n, 3) as measured; `bias` as in `correct_imu`.
+    """
+    n, intrinsics = len(gyro), imu_intrinsics(calibration)
     by_rate = np.zeros((n, 3, 6 + len(calibration)))
     by_force = np.zeros_like(by_rate)
-    if known is None:
+    if intrinsics is None:
         by_rate[:, :, :3] = by_force[:, :, 3:6] = -np.eye(3)
         return by_rate, by_force
-    W, A, S = known.gyro_matrix, known.accel_matrix, known.g_sensitivity
+    W, A, S = intrinsics.gyro_matrix, intrinsics.accel_matrix, intrinsics.g_sensitivity
     unbiased = accel - bias[1]
     force = unbiased @ A.T
     by_force[:, :, 3:6] = -A
-    where = calibration.where(ACCEL_MATRIX)
-    if where is not None:
-        by_force[:, :, 6 + where.start : 6 + where.stop] = _matrix_columns(unbiased)[:, :, _upper()]
+    columns = calibration.columns(ACCEL_MATRIX)
+    if columns is not None:
+        upper = _by_matrix(unbiased)[:, :, _upper_entries()]
+        by_force[:, :, 6 + columns.start : 6 + columns.stop] = upper
     by_rate[:, :, :3] = -W
     by_rate[:, :, 3:] = -(W @ S) @ by_force[:, :, 3:]
-    where = calibration.where(GYRO_MATRIX)
-    if where is not None:
+    columns = calibration.columns(GYRO_MATRIX)
+    if columns is not None:
         inner = gyro - force @ S.T - bias[0]
-        by_rate[:, :, 6 + where.start : 6 + where.stop] = _matrix_columns(inner)
-    where = calibration.where(G_SENSITIVITY)
-    if where is not None:
-        by_rate[:, :, 6 + where.start : 6 + where.stop] = -W @ _matrix_columns(force)
+        by_rate[:, :, 6 + columns.start : 6 + columns.stop] = _by_matrix(inner)
+    columns = calibration.columns(G_SENSITIVITY)
+    if columns is not None:
+        by_rate[:, :, 6 + columns.start : 6 + columns.stop] = -W @ _by_matrix(force)
     return by_rate, by_force
 
 
 def camera_pose_jacobian(
-    calibration: Calibration, name: str, p_cam: FloatArray, R_cam_imu: FloatArray
+    calibration: OnlineCalibration, name: str, p_cam: FloatArray, R_cam_imu: FloatArray
 ) -> FloatArray:
-    """∂p_cam/∂(deviation of the camera's pose) (..., 3, 6) of points p_cam (..., 3)."""
+    """∂p_cam/∂(deviation of the camera's pose) (..., 3, 6) of points p_cam (..., 3), metres."""
     J = np.empty((*p_cam.shape, 6))
-    J[..., :3] = so3.hat(p_cam) @ so3.right_jacobian(calibration.of(name, 6)[:3])
+    J[..., :3] = so3.hat(p_cam) @ so3.right_jacobian(calibration.deviation_of(name, 6)[:3])
     J[..., 3:] = -R_cam_imu
     return J
 
 
 def intrinsics_jacobian(camera: Camera, p_cam: FloatArray) -> FloatArray:
-    """∂pixel/∂(fx, fy, cx, cy, distortion) (..., 2, 4 + k) at points p_cam (..., 3)."""
+    """∂pixel/∂(fx, fy, cx, cy, distortion) (..., 2, 4 + k) at points p_cam (..., 3), metres.
+
+    NaN for points behind the camera.
+    """
     z = np.where(p_cam[..., 2:] > 0.0, p_cam[..., 2:], np.nan)
     xy = p_cam[..., :2] / z
-    bent = camera.model.distort(xy, camera.distortion)
+    distorted = camera.model.distort(xy, camera.distortion)
     _, by_distortion = camera.model.distort_jacobian(xy, camera.distortion)
     J = np.zeros((*xy.shape, _FOCAL_AND_CENTER + len(camera.distortion)))
-    J[..., 0, 0], J[..., 1, 1] = bent[..., 0], bent[..., 1]
+    J[..., 0, 0], J[..., 1, 1] = distorted[..., 0], distorted[..., 1]
     J[..., 0, 2] = J[..., 1, 3] = 1.0
     A = np.array([[camera.fx, camera.intrinsics[4]], [0.0, camera.fy]])
     J[..., _FOCAL_AND_CENTER:] = A @ by_distortion
     return J
 
 
-def _deviating_pose(T: FloatArray, deviation: FloatArray) -> FloatArray:
+def _calibrated_pose(T: FloatArray, deviation: FloatArray) -> FloatArray:
     return se3.make(T[:3, :3] @ so3.exp(deviation[:3]), T[:3, 3] + deviation[3:])
 
 
-def _deviating_camera(camera: Camera, deviation: FloatArray) -> Camera:
+def _calibrated_camera(camera: Camera, deviation: FloatArray) -> Camera:
     intrinsics = camera.intrinsics.copy()
     intrinsics[:_FOCAL_AND_CENTER] += deviation[:_FOCAL_AND_CENTER]
     distortion = camera.distortion + deviation[_FOCAL_AND_CENTER:]
     return replace(camera, intrinsics=intrinsics, distortion=distortion)
 
 
-def _matrix_columns(vectors: FloatArray) -> FloatArray:
+def _by_matrix(vectors: FloatArray) -> FloatArray:
     """∂(M v)/∂M (n, 3, 9) for vectors (n, 3), M row by row."""
     columns = np.einsum("ij,nk->nijk", np.eye(3), vectors)
     return np.asarray(columns.reshape(len(vectors), 3, 9))
 
 
-def _upper() -> IntArray:
+def _upper_entries() -> IntArray:
+    """Places of the upper triangle among the nine entries of a matrix, row by row."""
     return np.asarray(3 * _UPPER[0] + _UPPER[1])

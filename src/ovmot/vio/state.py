@@ -2,8 +2,8 @@
 
 Error state, in order: IMU (rotation, position, velocity, gyro bias, accelerometer bias; 15),
 calibration (time offset; 1; then the parts that are estimated), clones (rotation, position; 6 each,
-oldest first), landmarks (3 each, or 1). Rotation errors are on the right: R_true = R_est · exp(δθ);
-everything else is additive.
+oldest first), landmarks (SLAM features; 3 each, or 1). Rotation errors are on the right:
+R_true = R_est · exp(δθ); everything else is additive.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ import numpy as np
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.vio.landmarks import Landmarks, no_landmarks
-from ovmot.vio.online_calibration import Calibration
+from ovmot.vio.online_calibration import OnlineCalibration
 
 THETA, POSITION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
@@ -22,13 +22,16 @@ N_IMU = 15
 N_BASE = N_IMU + 1
 """Coordinates that are always there: the IMU and the time offset."""
 CLONE_SIZE = 6
-_AS_IN_FILES = Calibration()
-_NONE = no_landmarks()
+_NO_CALIBRATION = OnlineCalibration()
+_NO_LANDMARKS = no_landmarks()
 
 
 @dataclass(frozen=True, slots=True)
 class ImuState:
-    """Rotation (3, 3) and position (3,) of the IMU in world, velocity (3,) in world, biases."""
+    """Rotation (3, 3), position (3,), m, and velocity (3,), m/s, of the IMU in world; biases (3,).
+
+    Units of the biases: rad/s and m/s².
+    """
 
     R_world_imu: FloatArray
     position: FloatArray
@@ -39,7 +42,7 @@ class ImuState:
 
 @dataclass(frozen=True, slots=True)
 class Clones:
-    """K past poses: stamps (K,), T_world_imu (K, 4, 4), and their first estimates."""
+    """K past poses: stamps (K,) of their frames, T_world_imu (K, 4, 4), and first estimates."""
 
     timestamp_ns: IntArray
     T_world_imu: FloatArray
@@ -51,7 +54,7 @@ class Clones:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The whole filter: estimate, first estimates and covariance.
+    """The whole filter: estimate, first estimates and covariance (N, N) of the error state.
 
     `timestamp_ns` is the estimate's time on the IMU's clock. `imu_first` holds the values at which
     the Jacobians of the next propagation start (first-estimate Jacobians, G. Huang et al., ISER
@@ -64,27 +67,27 @@ class State:
     time_offset_s: float
     clones: Clones
     covariance: FloatArray
-    calibration: Calibration = _AS_IN_FILES
-    landmarks: Landmarks = _NONE
+    calibration: OnlineCalibration = _NO_CALIBRATION
+    landmarks: Landmarks = _NO_LANDMARKS
 
     @property
     def first_clone(self) -> int:
-        """Where the clones begin in the error state."""
+        """First column of the clones in the error state."""
         return N_BASE + len(self.calibration)
 
     @property
     def first_landmark(self) -> int:
-        """Where the landmarks begin in the error state."""
+        """First column of the landmarks in the error state."""
         return self.first_clone + CLONE_SIZE * len(self.clones)
 
     @property
     def calibration_columns(self) -> slice:
-        """Columns of the estimated calibration, but the time offset, in the error state."""
+        """Columns of the calibration that is estimated online, without the time offset."""
         return slice(N_BASE, self.first_clone)
 
     @property
     def clone_covariance(self) -> FloatArray:
-        """The covariance (6K, 6K) of the clones alone."""
+        """The marginal covariance (6K, 6K) of the clones."""
         window = slice(self.first_clone, self.first_landmark)
         return self.covariance[window, window]
 
@@ -100,7 +103,7 @@ def no_clones() -> Clones:
 
 
 def box_plus(state: State, error: FloatArray) -> State:
-    """The state moved by an error vector (N,): estimates move, first estimates stay."""
+    """The state plus an error vector (N,): estimates change, first estimates stay."""
     imu = ImuState(
         R_world_imu=so3.project_to_rotation(state.imu.R_world_imu @ so3.exp(error[THETA])),
         position=state.imu.position + error[POSITION],
@@ -111,17 +114,17 @@ def box_plus(state: State, error: FloatArray) -> State:
     poses = state.clones.T_world_imu
     if len(poses):
         d = error[state.first_clone : state.first_landmark].reshape(-1, CLONE_SIZE)
-        moved = poses.copy()
-        moved[:, :3, :3] = so3.project_to_rotation(poses[:, :3, :3] @ so3.exp(d[:, :3]))
-        moved[:, :3, 3] = poses[:, :3, 3] + d[:, 3:]
-        poses = moved
+        poses = se3.make(
+            so3.project_to_rotation(poses[:, :3, :3] @ so3.exp(d[:, :3])),
+            poses[:, :3, 3] + d[:, 3:],
+        )
     return replace(
         state,
         imu=imu,
         time_offset_s=state.time_offset_s + float(error[TIME_OFFSET]),
         clones=replace(state.clones, T_world_imu=poses),
-        calibration=state.calibration.moved(error[state.calibration_columns]),
-        landmarks=state.landmarks.moved(error[state.first_landmark :]),
+        calibration=state.calibration.plus(error[state.calibration_columns]),
+        landmarks=state.landmarks.plus(error[state.first_landmark :]),
     )
 
 
@@ -142,16 +145,16 @@ def box_minus(state: State, reference: State) -> FloatArray:
         state.calibration.deviation - reference.calibration.deviation,
     ]
     A, B = state.clones.T_world_imu, reference.clones.T_world_imu
-    turned = rotation(A[:, :3, :3], B[:, :3, :3])
-    parts.append(np.concatenate([turned, A[:, :3, 3] - B[:, :3, 3]], axis=1).ravel())
+    theta = rotation(A[:, :3, :3], B[:, :3, :3])
+    parts.append(np.concatenate([theta, A[:, :3, 3] - B[:, :3, 3]], axis=1).ravel())
     parts.append(state.landmarks.minus(reference.landmarks))
     return np.concatenate(parts)
 
 
-def drop_clone(state: State, index: int) -> State:
-    """The state without clone number `index` (marginalised: its rows and columns go).
+def marginalize_clone(state: State, index: int) -> State:
+    """The state without clone number `index`: its rows and columns of the covariance go.
 
-    No landmark may be anchored there any more.
+    No landmark may be anchored there any more; see `slam_features.change_anchor`.
     """
     kept = np.delete(np.arange(len(state.covariance)), state.clone_columns(index))
     clones = Clones(
@@ -162,19 +165,19 @@ def drop_clone(state: State, index: int) -> State:
     return replace(state, clones=clones, covariance=state.covariance[np.ix_(kept, kept)])
 
 
-def drop_landmarks(state: State, gone: BoolArray) -> State:
-    """The state without the landmarks marked `gone` (L,)."""
-    if not gone.any():
+def marginalize_landmarks(state: State, marginalized: BoolArray) -> State:
+    """The state without the `marginalized` landmarks (L,)."""
+    if not marginalized.any():
         return state
-    columns = state.first_landmark + np.flatnonzero(np.repeat(gone, state.landmarks.size))
+    columns = state.first_landmark + np.flatnonzero(np.repeat(marginalized, state.landmarks.size))
     kept = np.delete(np.arange(len(state.covariance)), columns)
     return replace(
         state,
-        landmarks=state.landmarks.rows(~gone),
+        landmarks=state.landmarks.rows(~marginalized),
         covariance=state.covariance[np.ix_(kept, kept)],
     )
 
 
 def pose_matrix(imu: ImuState) -> FloatArray:
-    """T_world_imu (4, 4)."""
+    """T_world_imu (4, 4) of an IMU state."""
     return se3.make(imu.R_world_imu, imu.position)

@@ -1,17 +1,13 @@
 """The one place where a measurement changes the covariance."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dgeqrt, dpstrf
-from scipy.special import chdtri
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.vio.state import State, box_plus
-
-_QR_BLOCK = 32
 
 
 def ekf_update(
@@ -22,12 +18,14 @@ def ekf_update(
     variance: FloatArray,
     L: FloatArray | None = None,
 ) -> State:
-    """Correct the state by residual = H δ[columns] + n, n ~ N(0, diag(variance)).
+    """The state updated by residual = H δ[columns] + n, n ~ N(0, diag(variance)).
 
-    `H` (m, k), `columns` (k,): which error coordinates H multiplies, `residual` (m,), `variance`
-    (m,); `L`: the `innovation_factor` of these, if it is known already. With W = L⁻¹ H P the
-    covariance becomes P - Wᵀ W, which stays symmetric, at the cost of m N² (G. Golub & C. Van Loan,
-    sec. 6.5.4).
+    `H` (m, k); `columns` (k,): the error coordinates that H multiplies; `residual` (m,) and
+    `variance` (m,), in the units of the measurement and their squares; `L` (m, m): the
+    `innovation_factor` of these where the caller has it already.
+
+    With S = L Lᵀ and W = L⁻¹ H P, the gain is K = Wᵀ L⁻¹ and the covariance becomes P - Wᵀ W, which
+    stays symmetric, at the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4).
     """
     if len(residual) == 0:
         return state
@@ -35,15 +33,18 @@ def ekf_update(
     if L is None:
         L = innovation_factor(P[np.ix_(columns, columns)], H, variance)
     W = solve_triangular(L, H @ P[columns], lower=True)
-    moved = box_plus(state, W.T @ solve_triangular(L, residual, lower=True))
-    updated = P - W.T @ W
-    return replace(moved, covariance=0.5 * (updated + updated.T))
+    updated = box_plus(state, W.T @ solve_triangular(L, residual, lower=True))
+    covariance = P - W.T @ W
+    return replace(updated, covariance=0.5 * (covariance + covariance.T))
 
 
 def innovation_distance(
     state: State, H: FloatArray, columns: IntArray, residual: FloatArray, variance: FloatArray
 ) -> float:
-    """Squared Mahalanobis distance of a residual under the state's covariance; see ekf_update."""
+    """Squared Mahalanobis distance of a residual under the state's covariance: rᵀ S⁻¹ r.
+
+    Arguments as those of `ekf_update`; to be compared with `physics.gate(m, probability)`.
+    """
     L = innovation_factor(state.covariance[np.ix_(columns, columns)], H, variance)
     innovation = solve_triangular(L, residual, lower=True)
     return float(innovation @ innovation)
@@ -52,12 +53,13 @@ def innovation_distance(
 def innovation_factor(P: FloatArray, H: FloatArray, variance: FloatArray) -> FloatArray:
     """Triangular L (m, m) with L Lᵀ = H P Hᵀ + diag(variance); `P` (k, k), `H` (m, k).
 
-    By QR of its square root: with P = F Fᵀ, Lᵀ is the R of [(H F)ᵀ; diag(sigma)] (P. Kaminski
-    et al., TAC 1971). Where large rows of H swallow the noise, the rounded sum has no factor. P
-    may be singular, as a new clone makes it: its own factor is pivoted, and of P's rank.
+    Square root by QR: with P = F Fᵀ, Lᵀ is the R of [(H F)ᵀ; diag(sigma)] (P. Kaminski et al., TAC
+    1971). S is not formed: where a row of H is large, rounding would lose the noise, and S would
+    have no Cholesky factor. P may be singular, as cloning makes it: F is P's pivoted Cholesky
+    factor, of P's rank.
     """
     sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
-    scale = np.where(sigma > 0.0, sigma, 1.0)  # units are far apart: rank is that of correlations
+    scale = np.where(sigma > 0.0, sigma, 1.0)  # units differ: the rank is that of correlations
     C, pivots, rank, _ = dpstrf(P / np.outer(scale, scale), lower=1)
     HF = (H * scale)[:, pivots - 1] @ np.tril(C)[:, :rank]
     stacked = np.concatenate([HF.T, np.diag(np.sqrt(variance))])
@@ -65,10 +67,10 @@ def innovation_factor(P: FloatArray, H: FloatArray, variance: FloatArray) -> Flo
 
 
 def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same measurement, of equal variances, in at most as many rows as columns.
+    """Measurement compression: H (m, n) and residual (m,), of equal variances, in min(m, n) rows.
 
-    QR of [H | r]: the rows of Qᵀr beyond H's rank hold only noise (A. Mourikis & S. Roumeliotis,
-    ICRA 2007, eq. 26-28).
+    QR of [H | r]: the rows of Qᵀr below the rank of H hold only noise (A. Mourikis &
+    S. Roumeliotis, ICRA 2007, eq. 26-28).
     """
     m, n = H.shape
     if m <= n:
@@ -77,17 +79,11 @@ def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArra
     return R[:n, :n], R[:n, n]
 
 
-def triangular_part(A: FloatArray) -> FloatArray:
+def triangular_part(A: FloatArray, *, block: int = 32) -> FloatArray:
     """The R (min(m, n), n) of A = Q R, with A (m, n).
 
-    By LAPACK's recursive blocks (E. Elmroth & F. Gustavson, IBM J. R&D 2000): for tall matrices on
-    one thread two to three times as quick as the usual routine, and as stable.
+    By LAPACK's recursive QR (E. Elmroth & F. Gustavson, IBM J. R&D 2000) in blocks of `block`
+    columns: for tall matrices on one thread two to three times as fast as `dgeqrf`, and as stable.
     """
-    factored, _, _ = dgeqrt(min(_QR_BLOCK, *A.shape), A)
+    factored, _, _ = dgeqrt(min(block, *A.shape), A)
     return np.triu(factored[: min(A.shape)])
-
-
-@lru_cache(maxsize=4096)
-def chi2_bound(dof: int, probability: float = 0.95) -> float:
-    """Quantile of the chi-squared distribution."""
-    return float(chdtri(dof, 1.0 - probability))

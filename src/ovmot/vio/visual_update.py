@@ -1,4 +1,8 @@
-"""One visual correction: landmarks in view; then ended features, located, gated, compressed."""
+"""The visual update of one frame: SLAM features in view, then MSCKF features.
+
+The sets of features are those of OpenVINS: lost features, features of the clone to be marginalized,
+and, of the latter, the longest tracks as candidates for SLAM features.
+"""
 
 import numpy as np
 
@@ -17,24 +21,11 @@ from ovmot.vio.msckf_features import (
 )
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
-from ovmot.vio.state import State, drop_landmarks
+from ovmot.vio.state import State, marginalize_landmarks
 from ovmot.vio.update import ekf_update
 
-NOT_KEPT = -1
-"""Instead of a landmark's id: the feature is used once."""
-_MIN_VIEWS = 3  # observations from different clones, a stereo pair counted once
-_MAX_REFUSED = 3  # updates in a row after which a landmark is not believed any more
-
-
-def clone_rows(table: FeatureTable, state: State) -> BoolArray:
-    """Rows (T,) whose frame is itself a clone of the state: the filter's measurements."""
-    own: BoolArray = table.frame_ns == table.clone_ns
-    return own & np.isin(table.clone_ns, state.clones.timestamp_ns)
-
-
-def usable_observations(table: FeatureTable, state: State) -> BoolArray:
-    """Observations (T, F) that an update may take: unused, of features that are not barred."""
-    return table.seen & ~table.used & ~table.dynamic & clone_rows(table, state)[:, None]
+_MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
+_MAX_REJECTIONS = 3  # in a row, after which a SLAM feature is marginalized
 
 
 def update_with_features(
@@ -43,36 +34,53 @@ def update_with_features(
     rig: StereoRig,
     settings: FilterSettings,
     *,
-    oldest_leaves: bool,
+    oldest_is_marginalized: bool,
 ) -> tuple[State, FeatureTable]:
-    """Update by landmarks in view and by features that ended, or that the oldest clone still holds.
+    """The state updated by the features of the newest frame, and the table with what was used.
 
-    Of those that the oldest clone, about to leave, holds and that are still seen, the ones seen
-    longest become landmarks while there is room. `rig` is that of the calibration files. Features
-    that were suspect when last seen are not used. Observations of the chosen features are marked as
-    used, also where a test then refuses them, and all those of features that are gone.
+    `rig`: that of the calibration files. `oldest_is_marginalized`: the oldest clone leaves the
+    window after this frame, so that features seen from it must be used now.
+
+    Features that were outliers when last seen are not used. Marked as used are all observations of
+    features that enter an update, also where a gate then rejects them, and of lost features.
     """
-    now = calibrated_rig(rig, state.calibration)
-    state, table = _update_with_slam_features(state, table, now, rig.T_imu_cam0, settings)
-    usable = usable_observations(table, state)
-    views = usable.sum(axis=0)
-    gone = ~table.seen_now
-    due = gone & (views > 0)
-    if oldest_leaves and len(state.clones):
+    calibrated = calibrated_rig(rig, state.calibration)
+    state, table = _update_with_slam_features(state, table, calibrated, rig.T_imu_cam0, settings)
+    available = available_observations(table, state)
+    n_views = available.sum(axis=0)
+
+    lost = ~table.seen_now
+    marginalized = np.zeros_like(lost)
+    if oldest_is_marginalized and len(state.clones):
         oldest = table.frame_ns == state.clones.timestamp_ns[0]
-        due |= usable[oldest].any(axis=0)
-    due &= ~np.isin(table.feature_id, state.landmarks.feature_id)
-    chosen = due & (views >= _MIN_VIEWS) & ~table.outlier
+        marginalized = available[oldest].any(axis=0)
+    candidates = (lost | marginalized) & (n_views >= _MIN_VIEWS) & ~table.outlier
+    candidates &= ~np.isin(table.feature_id, state.landmarks.feature_id)
     room = settings.max_landmarks - len(state.landmarks)
-    lasting = _first(chosen & ~gone, views, room)
-    chosen = _first(chosen & ~lasting, views, settings.max_features_per_update)
-    spent = usable & (chosen | lasting | gone)
-    taken = chosen | lasting
-    if taken.any():
-        pixels = _per_clone(table, state, usable, taken)
-        joining = np.where(lasting, table.feature_id, NOT_KEPT)[taken]
-        state = msckf_update(state, now, rig.T_imu_cam0, pixels, joining, settings)
-    return state, mark_used(table, spent)
+    slam_candidates = _longest(candidates & ~lost, n_views, room)
+    msckf_features = _longest(
+        candidates & ~slam_candidates, n_views, settings.max_features_per_update
+    )
+
+    updating = msckf_features | slam_candidates
+    if updating.any():
+        pixels = _pixels_per_clone(table, state, available, updating)
+        state = msckf_update(
+            state, calibrated, rig.T_imu_cam0, pixels,
+            table.feature_id[updating], slam_candidates[updating], settings,
+        )  # fmt: skip
+    return state, mark_used(table, available & (updating | lost))
+
+
+def available_observations(table: FeatureTable, state: State) -> BoolArray:
+    """Observations (T, F) that an update may use: from clones, unused, of features not dynamic."""
+    return table.seen & ~table.used & ~table.dynamic & clone_rows(table, state)[:, None]
+
+
+def clone_rows(table: FeatureTable, state: State) -> BoolArray:
+    """Rows (T,) whose frame is itself a clone of the state, not one that shares a clone."""
+    own: BoolArray = table.frame_ns == table.clone_ns
+    return own & np.isin(table.clone_ns, state.clones.timestamp_ns)
 
 
 def msckf_update(
@@ -80,32 +88,39 @@ def msckf_update(
     rig: StereoRig,
     T_imu_anchor: FloatArray,
     pixels: FloatArray,
-    landmark_id: IntArray,
+    feature_id: IntArray,
+    slam_candidate: BoolArray,
     settings: FilterSettings,
 ) -> State:
-    """Update by features seen as (F, K, 4) from the K clones; `rig` as calibrated now.
+    """MSCKF update by F features, of which the SLAM candidates enter the state.
 
-    Those with a `landmark_id` (F,) stay in the state as landmarks of that id. All are linearised at
-    one state and update together: one after another, each would have to be linearised anew.
+    `rig`: as calibrated now; `T_imu_anchor` (4, 4): the left camera of the files; `pixels` (F, K,
+    4) from the K clones, NaN where not to be used; `feature_id` (F,), `slam_candidate` (F,).
+
+    All are linearized at one state and update it together: updates one after another would need a
+    new linearization each.
     """
-    system, p_world, found = _located(state, rig, pixels, settings)
+    system, p_world, triangulated = _linearized_features(state, rig, pixels, settings)
     if not len(system.residual):
         return state
-    free = project_nullspace(system)
+    projected = project_nullspace(system)
     columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
     P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
-    distance = innovation_distances(P, free.H, free.residual)
-    passed = chi2_gate(distance, free.dof, settings.chi2_multiplier)
-    agreed = innovation_consistency(state, free.H, free.residual, columns, distance, passed)
-    if agreed is None:
-        return state
-    landmark_id = landmark_id[found]
-    joining = (agreed.share > 0.0) & (landmark_id != NOT_KEPT)
-    state = delayed_initialization(
-        state, free.points.rows(joining), landmark_id[joining], p_world[joining], T_imu_anchor
+    distance = innovation_distances(P, projected.H, projected.residual)
+    passed = chi2_gate(distance, projected.dof, settings.chi2_multiplier)
+    consistent = innovation_consistency(
+        state, projected.H, projected.residual, columns, distance, projected.dof, passed
     )
-    variance = np.ones(len(agreed.residual))
-    return ekf_update(state, agreed.H, columns, agreed.residual, variance, agreed.L)
+    if consistent is None:
+        return state
+    new = (consistent.weight > 0.0) & slam_candidate[triangulated]
+    state = delayed_initialization(
+        state, projected.points.rows(new), feature_id[triangulated][new], p_world[new], T_imu_anchor
+    )
+    variance = np.ones(len(consistent.residual))
+    return ekf_update(
+        state, consistent.H, columns, consistent.residual, variance, consistent.L
+    )  # fmt: skip
 
 
 def _update_with_slam_features(
@@ -115,11 +130,11 @@ def _update_with_slam_features(
     T_imu_anchor: FloatArray,
     settings: FilterSettings,
 ) -> tuple[State, FeatureTable]:
-    """Let landmarks go that are lost, move or were refused too often; update by the others."""
+    """Marginalize SLAM features that are lost, dynamic or rejected; update by the others."""
     ids = state.landmarks.feature_id
     alive = table.feature_id[table.seen_now & ~table.dynamic]
-    gone = ~np.isin(ids, alive) | (state.landmarks.refused >= _MAX_REFUSED)
-    state = drop_landmarks(state, gone)
+    rejected = state.landmarks.rejections >= _MAX_REJECTIONS
+    state = marginalize_landmarks(state, ~np.isin(ids, alive) | rejected)
     if not len(state.landmarks):
         return state, table
     column = table.columns(state.landmarks.feature_id)
@@ -128,48 +143,43 @@ def _update_with_slam_features(
     state = update_slam_features(
         state, rig, T_imu_anchor, pixels, settings.landmark_pixel_sigma, settings.chi2_multiplier
     )
-    spent = np.zeros_like(table.used)
-    spent[-1, column] = True
-    return state, mark_used(table, spent)
+    used = np.zeros_like(table.used)
+    used[-1, column] = True
+    return state, mark_used(table, used)
 
 
-def _first(candidates: BoolArray, views: IntArray, count: int) -> BoolArray:
+def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     """At most `count` of the candidates (F,), those with most views first."""
     if candidates.sum() <= count:
         return candidates
     out = np.zeros_like(candidates)
-    ranked = np.argsort(np.where(candidates, -views, 1), kind="stable")
+    ranked = np.argsort(np.where(candidates, -n_views, 1), kind="stable")
     out[ranked[: max(count, 0)]] = True
     return out
 
 
-def _located(
+def _linearized_features(
     state: State, rig: StereoRig, pixels: FloatArray, settings: FilterSettings
 ) -> tuple[FeatureSystem, FloatArray, BoolArray]:
-    """Measurements and points of the features that could be triangulated, and which (F,) these are.
-
-    The plane coordinates are made here, by the lenses as they are calibrated now.
-    """
+    """Measurements and world points (T, 3) of the features that could be triangulated, and which
+    (F,) these are."""
     sigma = settings.pixel_sigma
-    normalized = np.concatenate(
-        [rig.cam0.normalize(pixels[..., :2]), rig.cam1.normalize(pixels[..., 2:])], axis=-1
-    )
     depth_range = (settings.min_depth_m, settings.max_depth_m)
-    points = triangulate_features(state, rig, normalized, sigma, depth_range)
-    found = points.valid
-    system = linearize(state, rig, pixels[found], points.p_world[found], sigma)
-    return system, points.p_world[found], found
+    points = triangulate_features(state, rig, rig.normalize(pixels), sigma, depth_range)
+    valid = points.valid
+    system = linearize(state, rig, pixels[valid], points.p_world[valid], sigma)
+    return system, points.p_world[valid], valid
 
 
-def _per_clone(
-    table: FeatureTable, state: State, usable: BoolArray, chosen: BoolArray
+def _pixels_per_clone(
+    table: FeatureTable, state: State, available: BoolArray, features: BoolArray
 ) -> FloatArray:
-    """Pixels (F, K, 4) of chosen features, NaN where not to be used."""
-    features = np.flatnonzero(chosen)
-    pixels = np.full((len(features), len(state.clones), 4), np.nan)
+    """Available pixels (F, K, 4) of the features marked, from the K clones; NaN elsewhere."""
+    index = np.flatnonzero(features)
+    pixels = np.full((len(index), len(state.clones), 4), np.nan)
     for k, stamp in enumerate(state.clones.timestamp_ns):
         row = np.flatnonzero(table.frame_ns == stamp)
         if len(row):
-            take = usable[row[0], features]
-            pixels[take, k] = table.pixels[row[0], features[take]]
+            seen = available[row[0], index]
+            pixels[seen, k] = table.pixels[row[0], index[seen]]
     return pixels

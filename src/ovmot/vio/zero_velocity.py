@@ -1,27 +1,96 @@
-"""The update that standing still allows, and whether the filter's prediction admits it.
+"""Zero-velocity detection by images and by the prediction, and the zero-velocity update (ZUPT).
 
-That the picture stands is judged in `stillness.py`; both must agree. A smooth drive looks like rest
-to the IMU, and a lead car at our own speed looks still.
+Detection needs both. A smooth drive looks like rest to an IMU; a car ahead at the rig's own speed
+looks stationary in the images. The images are compared over some tenths of a second: from one frame
+to the next a creeping rig moves less than a match is accurate.
 """
 
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import FeatureTable
 from ovmot.geometry import so3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
+from ovmot.physics import REST_SHIFT_M, gate
 from ovmot.settings import ZeroVelocitySettings
+from ovmot.types import tracked_pixels
 from ovmot.vio.state import VELOCITY, State
-from ovmot.vio.update import chi2_bound, ekf_update, innovation_distance
+from ovmot.vio.update import ekf_update, innovation_distance
 
-_PREDICTION_SLACK = 3.0  # the prediction's covariance is optimistic; ask for agreement within this
+_MIN_POINTS = 8
+_MAX_POINTS = 60
+_PIXEL_SIGMA = 0.5  # of a stereo match, for the metric motion
+_ROTATION_SIGMA = 1e-3  # rad over the look-back, of a stationary rig
+_PREDICTION_SLACK = 3.0  # the prediction's covariance is optimistic; its gate is wider by this
 
 
-def standing_measurement(
+def zero_velocity_detected(
+    state: State, table: FeatureTable, rig: StereoRig, settings: ZeroVelocitySettings
+) -> bool:
+    """Do the images and the prediction both allow that the rig is stationary?"""
+    return image_is_stationary(table, rig, settings) and prediction_is_stationary(state, settings)
+
+
+def image_is_stationary(
+    table: FeatureTable, rig: StereoRig, settings: ZeroVelocitySettings
+) -> bool:
+    """Do most points of the newest row keep their place, and is their stereo motion zero?
+
+    The newest row is compared with the oldest one that is at most `look_back_s` old; False while
+    there is none at least half as old. Outliers and dynamic features are left out.
+    """
+    if table.shape[0] < 2:
+        return False
+    age = (table.frame_ns[-1] - table.frame_ns) * 1e-9
+    row = int(np.flatnonzero(age <= settings.look_back_s * 1.01)[0])
+    if age[row] < 0.5 * settings.look_back_s:
+        return False
+    candidates = ~table.outlier & ~table.dynamic
+    now, then = tracked_pixels(table.pixels[-1]), tracked_pixels(table.pixels[row])
+    share = stationary_share(now, then, candidates, settings.pixel)
+    if share < settings.still_share:
+        return False
+    return not _has_moved(table.normalized[row, candidates], table.normalized[-1, candidates], rig)
+
+
+def stationary_share(
+    pixels: FloatArray, earlier: FloatArray, candidates: BoolArray, max_pixels: float
+) -> float:
+    """Share of the candidate points (N,) that moved less than `max_pixels` in their image.
+
+    `pixels`, `earlier` (N, 2), NaN where unseen; 0 with fewer than 8 points to compare.
+    """
+    both = candidates & np.isfinite(pixels[:, 0]) & np.isfinite(earlier[:, 0])
+    if both.sum() < _MIN_POINTS:
+        return 0.0
+    distance = np.linalg.norm(pixels[both] - earlier[both], axis=1)
+    return float((distance < max_pixels).mean())
+
+
+def prediction_is_stationary(state: State, settings: ZeroVelocitySettings) -> bool:
+    """Is a zero velocity since the last clone within the gate of what the filter has predicted?"""
+    if len(state.clones) < 2:
+        return False
+    H, columns, residual, variance = zero_velocity_measurement(state, settings)
+    distance = innovation_distance(state, H, columns, residual, _PREDICTION_SLACK * variance)
+    return distance < _PREDICTION_SLACK * gate(len(residual), 0.999)
+
+
+def zero_velocity_update(state: State, settings: ZeroVelocitySettings) -> State:
+    """The state updated by zero velocity, and zero motion between its two newest clones."""
+    return ekf_update(state, *zero_velocity_measurement(state, settings))
+
+
+def zero_velocity_measurement(
     state: State, settings: ZeroVelocitySettings
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
-    """Zero velocity, and zero motion between the two newest clones: H, columns, r, variance."""
+    """H (9, 15), columns (15,), residual (9,) and variance (9,) of a stationary rig.
+
+    Rows: velocity, m/s; then rotation, rad, and translation, m, between the two newest clones.
+    """
     now, before = len(state.clones) - 1, len(state.clones) - 2
     T_now, T_before = state.clones.T_world_imu[now], state.clones.T_world_imu[before]
-    R_relative = T_before[:3, :3].T @ T_now[:3, :3]
     columns = np.r_[
         np.arange(VELOCITY.start, VELOCITY.stop),
         np.arange(*state.clone_columns(before).indices(len(state.covariance))),
@@ -29,8 +98,8 @@ def standing_measurement(
     ]
     H = np.zeros((9, 15))
     H[:3, :3] = np.eye(3)
-    # φ = log(R_beforeᵀ R_now): a right error of `now` adds J_r^-1 δ, one of `before` -J_l^-1 δ.
-    phi = so3.log(R_relative)
+    # φ = log(R_beforeᵀ R_now): a right error of `now` adds J_r^-1 δ, one of `before` -J_l^-1 δ
+    phi = so3.log(T_before[:3, :3].T @ T_now[:3, :3])
     H[3:6, 9:12] = so3.right_jacobian_inverse(phi)
     H[3:6, 3:6] = -so3.right_jacobian_inverse(-phi)
     H[6:9, 12:15] = np.eye(3)
@@ -42,15 +111,17 @@ def standing_measurement(
     return H, columns, residual, sigma**2
 
 
-def prediction_allows_standing(state: State, settings: ZeroVelocitySettings) -> bool:
-    """Is standing since the last clone within what the filter has predicted?"""
-    if len(state.clones) < 2:
-        return False
-    H, columns, residual, variance = standing_measurement(state, settings)
-    distance = innovation_distance(state, H, columns, residual, _PREDICTION_SLACK * variance)
-    return distance < _PREDICTION_SLACK * chi2_bound(len(residual), 0.999)
+def _has_moved(before: FloatArray, now: FloatArray, rig: StereoRig) -> bool:
+    """Is there a translation of the left camera beyond its own uncertainty and a centimetre?
 
-
-def zero_velocity_update(state: State, settings: ZeroVelocitySettings) -> State:
-    """The state corrected by standing still between its two newest clones."""
-    return ekf_update(state, *standing_measurement(state, settings))
+    `before`, `now` (N, 4): normalized stereo coordinates.
+    """
+    disparity = np.nan_to_num(before[:, 0] - before[:, 2])
+    nearest = np.argsort(-disparity, kind="stable")[:_MAX_POINTS]  # best known in translation
+    motion = solve_stereo_motion(
+        before[nearest], now[nearest], rig.T_cam1_cam0, np.eye(3),
+        rig.normalized_sigma(_PIXEL_SIGMA), _ROTATION_SIGMA,
+    )  # fmt: skip
+    if motion is None:
+        return False  # too few stereo points to say
+    return motion_is_significant(motion, REST_SHIFT_M)

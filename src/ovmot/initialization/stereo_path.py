@@ -1,0 +1,90 @@
+"""The path of the rig by stereo from frame to frame, and which body in view is the world.
+
+An IMU does not distinguish the world from a truck that drives straight on at constant speed: seen
+from either, the same forces act. Points cannot be counted either, since a near truck has most of
+them. But no vehicle occupies as much space as the street that it stands on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.errors import InitializationError
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.stereo_motion import solve_stereo_motion
+from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
+from ovmot.types import FrontendFrame, ImuData
+from ovmot.vio.imu_buffer import integrated_rotation
+
+PIXEL_SIGMA = 1.0  # of a stereo match
+_ROTATION_SIGMA = 0.01  # rad, of the gyro's rotation between two frames, bias unknown
+_MIN_STEP_SIGMA = 0.003  # m, per frame
+_INFLATION = 2.0  # on the path's standard deviations: its errors are not independent
+_CELL_M = 2.0
+_MAX_DEPTH_ERROR = 0.1  # of the depth: farther points are stationary for every motion
+_NO_FEATURES = np.empty(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPath:
+    """IMU poses T_first_imu (K, 4, 4) in the IMU's frame at the first of K frames, their position
+    sigmas (K,) in m, and the features (N,) that moved along."""
+
+    T_first_imu: FloatArray
+    sigma: FloatArray
+    feature_id: IntArray
+
+
+def stereo_path(
+    frames: Sequence[FrontendFrame],
+    imu: Sequence[ImuData],
+    rig: StereoRig,
+    excluded: IntArray = _NO_FEATURES,
+) -> StereoPath:
+    """Chain the stereo motion of K consecutive frames; the gyroscope predicts each rotation.
+
+    `imu`: the K - 1 intervals between them. The features `excluded` (N,) are left out, and from
+    each step on those that did not move along: the path stays with one body. Raises
+    `InitializationError` where two frames have no common motion.
+    """
+    R_cam_imu = rig.T_imu_cam0[:3, :3].T
+    sigma = rig.normalized_sigma(PIXEL_SIGMA)
+    T_first_cam = [np.eye(4)]
+    variance = [0.0]
+    inliers = _NO_FEATURES
+    for before, now, samples in zip(frames[:-1], frames[1:], imu, strict=True):
+        tracked, a, b = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
+        kept = ~np.isin(tracked, excluded)
+        tracked, a, b = tracked[kept], a[kept], b[kept]
+        R = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+        motion = solve_stereo_motion(
+            before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma, _ROTATION_SIGMA
+        )
+        if motion is None:
+            raise InitializationError(f"no common stereo motion among {len(a)} tracked points")
+        in_stereo = np.isfinite(before.normalized[a] + now.normalized[b]).all(axis=1)
+        excluded = np.union1d(excluded, tracked[in_stereo & ~motion.inlier])
+        inliers = np.union1d(inliers, tracked[motion.inlier])
+        T_first_cam.append(T_first_cam[-1] @ se3.inverse(motion.T_now_before))
+        mean_variance = float(np.trace(motion.covariance[3:, 3:])) / 3.0
+        variance.append(variance[-1] + mean_variance + _MIN_STEP_SIGMA**2)
+    T = rig.T_imu_cam0 @ np.array(T_first_cam) @ se3.inverse(rig.T_imu_cam0)
+    inliers = np.setdiff1d(inliers, excluded)
+    return StereoPath(T, _INFLATION * np.sqrt(np.array(variance)), inliers)
+
+
+def occupied_cells(normalized: FloatArray, rig: StereoRig) -> int:
+    """Number of cubes of 2 m that hold stereo points whose depth is known to a tenth.
+
+    `normalized` (N, 4): coordinates of stereo pairs, NaN where unseen.
+    """
+    p = triangulate_stereo(normalized, rig.T_cam1_cam0)
+    p = p[np.isfinite(p).all(axis=1)]
+    if not len(p):
+        return 0
+    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(PIXEL_SIGMA))
+    p = p[np.sqrt(C[:, 2, 2]) < _MAX_DEPTH_ERROR * p[:, 2]]
+    return len(np.unique(np.floor(p / _CELL_M).astype(np.int64), axis=0))
