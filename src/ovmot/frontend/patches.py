@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ovmot.frontend.klt_kernel import MAX_STEPS, SMALL_STEP_PX
 from ovmot.frontend.optical_flow import MIN_CORRELATION
 from ovmot.frontend.patch_kernel import align_points_compiled
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
@@ -126,11 +125,15 @@ def align(
     start: FloatArray,
     start_warp: FloatArray,
     workers: Executor,
+    *,
+    max_steps: int = 8,
+    small_step_px: float = 0.02,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Where the patches are in a smoothed image: uv (N, 2), warps (N, 2, 2), and which fit (N,).
 
-    From pixels `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves
-    of the points run in two threads, each point by itself: the result does not depend on that.
+    From pixels `start` (N, 2) and `start_warp` (N, 2, 2), in at most `max_steps` steps, done at
+    one below `small_step_px`; what does not fit may be anywhere. Halves of the points run in two
+    threads, each point by itself: the result does not depend on that.
     """
     uv, warp = start.astype(np.float64), start_warp.astype(np.float64)
     half = (len(uv) + 1) // 2
@@ -139,7 +142,7 @@ def align(
         workers.submit(
             align_points_compiled, image, patches.grey[part], patches.steepest[part],
             patches.inverse[part], _ROOT_WEIGHT, _BY_AXIS, uv[part], warp[part],
-            MAX_STEPS, SMALL_STEP_PX, _SIGMA_PX,
+            max_steps, small_step_px, _SIGMA_PX,
         )
         for part in parts
     ]  # fmt: skip
