@@ -39,7 +39,8 @@ class MovingObjects:
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
         self._focus_width_m = settings.tracker.focus_width_m
-        self._tracker = ObjectTracker(rig, settings.object_tracks)
+        rest_speed_mps = settings.split.forgiven_speed_mps
+        self._tracker = ObjectTracker(rig, settings.object_tracks, rest_speed_mps)
         self._rng = np.random.default_rng(settings.objects.seed)
 
     def step(
