@@ -106,22 +106,33 @@ def refine_bodies(
         squared_step = (step * gradient).sum(1)  # δᵀ N δ with N δ = g
         if not wide and squared_step.max() < _SMALL_STEP:
             break
-    # Noise above the prior one widens the covariance; noise below it is only reported.
-    inliers = np.where(reduced.inlier, 1.0, 0.0)
-    cost = np.bincount(views.body, reduced.weight * reduced.cost, n_bodies)
-    body_dof = np.bincount(views.body, inliers * dof, n_bodies)
-    widen = np.maximum(1.0, cost / np.maximum(body_dof, 1.0))[:, None, None]
-    variance_factor = np.minimum(1.0, (cost + _PRIOR_DOF) / (body_dof + _PRIOR_DOF))
+    widen, variance_factor = _variance_factors(reduced, views.body, dof, n_bodies)
     to_world, p_world = _world_points(point, views)
     return RefinedBodies(
         twist=twist,
-        covariance=np.asarray(np.linalg.inv(information) * widen, np.float64),
+        covariance=np.asarray(np.linalg.inv(information) * widen[:, None, None], np.float64),
         p_world=p_world,
         inlier=reduced.inlier,
         point_cov=to_world @ reduced.N_inverse @ np.swapaxes(to_world, -1, -2),
         by_twist=to_world @ -np.swapaxes(reduced.K, -1, -2),
         variance_factor=variance_factor,
     )
+
+
+def _variance_factors(
+    reduced: Reduced, body: IntArray, dof: FloatArray, n_bodies: int
+) -> tuple[FloatArray, FloatArray]:
+    """Variance of the noise by the residuals as a share of the prior one: (B,) at least 1, and (B,)
+    at most 1, which holds the prior noise as well.
+
+    `dof` (M,): degrees of freedom of each point. Noise above the prior one widens the covariance;
+    noise below it is only reported.
+    """
+    inliers = np.where(reduced.inlier, 1.0, 0.0)
+    cost = np.bincount(body, reduced.weight * reduced.cost, n_bodies)
+    body_dof = np.bincount(body, inliers * dof, n_bodies)
+    widen = np.maximum(1.0, cost / np.maximum(body_dof, 1.0))
+    return widen, np.minimum(1.0, (cost + _PRIOR_DOF) / (body_dof + _PRIOR_DOF))
 
 
 def _stepped_points(point: FloatArray, reduced: Reduced, twist_step: FloatArray) -> FloatArray:
