@@ -18,6 +18,23 @@ PIXEL_SIGMA = 0.4
 Of sub-pixel registration of patches by Lucas-Kanade on real images (S. Baker & I. Matthews, IJCV
 2004, find some tenths of a pixel)."""
 
+PATCH_DRIFT_PX = 0.15
+"""Standard deviation by which a tracked patch drifts on what it shows, pixels, from frame to frame:
+a random walk."""
+VARIANCE_FACTOR = 2.0
+"""Errors of drifting patches persist from frame to frame. A covariance that takes them as
+independent is too small by about this factor; gates on what many frames say are wider by it."""
+
+# Stamps of frames.
+FRAME_JITTER = 0.05
+"""Frames are off their nominal spacing by up to this part of it."""
+
+# Inertial sensors.
+GYRO_BIAS_SIGMA_RPS = 0.05
+"""Prior of a gyroscope's bias: 3 deg/s, the zero-rate offset in data sheets of MEMS units."""
+MAX_ACCEL_BIAS_MPS2 = 1.5
+"""Beyond the bias of any accelerometer: 0.15 g, the zero-g offset in data sheets of MEMS units."""
+
 # Road users. Sources: Directive 96/53/EC (greatest vehicle dimensions), friction of dry asphalt.
 MAX_ACCEL_MPS2 = 8.0
 """Hardest braking of a road user: 0.8 g, the friction of tyres on dry asphalt."""
@@ -28,6 +45,11 @@ TURN_SPREAD_MPS = 0.5
 ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
 """Standard deviation of a road user's velocity in either level direction and upwards: 36 km/h, and
 a slope of 5 % at that speed."""
+MANOEUVRE_S = 2.0
+"""A road user keeps its acceleration and its yaw rate for about this long: their correlation time
+(R. Singer, IEEE TAES 1970)."""
+YAW_RATE_SIGMA_RPS = 0.25
+"""Standard deviation of a road user's yaw rate: the acceleration above across its way, at 6 m/s."""
 MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)
@@ -49,6 +71,14 @@ REST_SHIFT_M = 0.01
 LEAST_MATCH_SIGMA_PX = 0.1
 """Standard deviation that least squares matching of natural texture reaches at best, a tenth of a
 pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogrammetry 14, 1985)."""
+
+
+def tracked_pixel_sigma(n_frames: float) -> float:
+    """Standard deviation, pixels, of a stereo match whose patch was tracked over `n_frames` frames.
+
+    White noise and drift: 0.7 px over 15 frames, the filter's window; 1.5 px over 100 frames.
+    """
+    return float(np.sqrt(PIXEL_SIGMA**2 + n_frames * PATCH_DRIFT_PX**2))
 
 
 @lru_cache(maxsize=4096)

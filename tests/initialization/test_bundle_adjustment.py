@@ -64,7 +64,7 @@ def test_normal_equations_are_those_of_window_and_points_together(
     true = make_window(3, CalibrationSettings(extrinsics=True, intrinsics=True))
     frames = [observe(rig, T, landmarks, 0, 0.5, rng) for T in true.T_world_imu]
     ids = np.intersect1d(frames[0].feature_id, frames[-1].feature_id)[:6]
-    pixels = keyframe_pixels(frames, ids, 100)
+    pixels = keyframe_pixels(frames, ids)
     window = window_plus(true, rng.normal(0.0, 1e-3, true.size))
     points = landmarks[ids]
     n, k = window.size, 3 * len(points)
@@ -110,7 +110,7 @@ class Trial:
         self.intervals = ImuIntervals(cuts, in_gap, steady, integrate_rk4)
         exposures = path.pose(true.imu_ns + round(1e9 * delay_s))
         frames = [observe(rig, T, landmarks, 0, SETTINGS.pixel_sigma, rng) for T in exposures]
-        self.pixels = keyframe_pixels(frames, np.arange(len(landmarks)), 150)
+        self.pixels = keyframe_pixels(frames, np.arange(len(landmarks)), max_features=150)
         self.true = replace(
             true, gyro=data.gyro[::20], gyro_bias=gyro_bias, accel_bias=accel_bias,
             offset_s=delay_s,

@@ -22,6 +22,7 @@ from ovmot.types import FrontendFrame, ImuData
 from ovmot.vio.state import ImuState
 
 G = 9.81
+HALF_S = 500_000_000
 SETTINGS = InitializationSettings()
 StartError = Callable[[ImuState, ImuState], FloatArray]
 
@@ -101,8 +102,8 @@ def test_the_body_that_occupies_most_space_is_the_world(
     way = np.array([1.5, 0.0, 0.0])
     T = se3.make(np.eye(3), way if rig_moves else np.zeros(3))
     first = observe(rig, np.eye(4), np.concatenate([truck, street]), start_ns, 0.1, rng)
-    last = observe(rig, T, np.concatenate([truck + way, street]), start_ns, 0.1, rng)
-    points = stationary_points(first, last, rig, SETTINGS.rest_pixel)
+    last = observe(rig, T, np.concatenate([truck + way, street]), start_ns + HALF_S, 0.1, rng)
+    points = stationary_points([first, last], rig, SETTINGS.rest_pixel)
     assert points.share > SETTINGS.rest_share
     assert is_stationary(points) != rig_moves
 
@@ -116,7 +117,7 @@ def test_a_creeping_rig_is_not_stationary(
     rng = np.random.default_rng(2)
     T = se3.make(np.eye(3), np.array([way_m, 0.0, 0.0]))
     first = observe(rig, np.eye(4), landmarks, start_ns, 0.1, rng)
-    last = observe(rig, T, landmarks, start_ns, 0.1, rng)
-    points = stationary_points(first, last, rig, SETTINGS.rest_pixel)
+    last = observe(rig, T, landmarks, start_ns + HALF_S, 0.1, rng)
+    points = stationary_points([first, last], rig, SETTINGS.rest_pixel)
     assert points.share > 0.5
     assert is_stationary(points) == (way_m == 0.0)

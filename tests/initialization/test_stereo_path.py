@@ -28,9 +28,9 @@ def test_stereo_path_is_the_path_of_the_imu(
     expected = se3.inverse(T[0]) @ T
     miss = np.linalg.norm(path.T_first_imu[:, :3, 3] - expected[:, :3, 3], axis=1)
     # the first pose is given: its sigma is 0, what it misses is rounding
-    assert (miss <= 3.0 * path.sigma + ROUNDING_M).all()
+    assert (miss <= 3.0 * path.position_sigma + ROUNDING_M).all()
     assert miss[-1] < 0.05
-    assert (np.diff(path.sigma) > 0.0).all()
+    assert (np.diff(path.position_sigma) > 0.0).all()
 
 
 def test_excluded_features_are_left_out(make_imu_drive: MakeImuDrive, rig: StereoRig) -> None:

@@ -16,6 +16,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InitializationError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.stereo_motion import MIN_POINTS
 from ovmot.geometry.triangulation import inverse_3x3, triangulate_many_views
 from ovmot.initialization.factors import Factor
 from ovmot.initialization.window import (
@@ -31,11 +32,7 @@ from ovmot.types import FrontendFrame
 from ovmot.vio.msckf_features import Reprojection, reproject
 from ovmot.vio.online_calibration import calibrated_rig
 
-_ITERATIONS = 15
-_CONVERGED = 0.01  # standard deviations
 _LOSS_SCALE = 1.5  # of the Geman-McClure loss, in units of the median error
-_MIN_POINTS = 8
-_MIN_VARIANCE = 1e-4  # of the pixels, where simulated ones are exact
 NormalEquations = tuple[FloatArray, FloatArray]
 """JᵀJ (N, N) and -Jᵀr (N,) of whitened residuals."""
 
@@ -59,21 +56,24 @@ def bundle_adjust(
     settings: FilterSettings,
     *,
     offset_is_free: bool,
+    max_iterations: int = 15,
+    tolerance: float = 0.01,
 ) -> AdjustedWindow:
     """Adjust a window by points seen as `pixels` (F, K, 4), NaN where unseen.
 
     `factors` gives all factors beside the images; `rig`: that of the calibration files;
-    `offset_is_free`: whether the time offset is estimated. Raises `InitializationError` where too
+    `offset_is_free`: whether the time offset is estimated. Steps end where their root mean square
+    is below the `tolerance`, in standard deviations. Raises `InitializationError` where too
     few points can be triangulated, `LinAlgError` where the normal equations are singular.
     """
     free = np.ones(window.size, dtype=np.bool_)
     free[OFFSET] = offset_is_free
-    for _ in range(_ITERATIONS):
+    for _ in range(max_iterations):
         N, b, _, _ = _normal_equations(window, factors, pixels, rig, settings)
         step = np.zeros(window.size)
         step[free] = np.linalg.solve(N[np.ix_(free, free)], b[free])
         window = window_plus(window, step)
-        if float(step @ N @ step) < _CONVERGED**2 * window.size:
+        if float(step @ N @ step) < tolerance**2 * window.size:
             break
     N, _, factor_rms, pixel_rms = _normal_equations(window, factors, pixels, rig, settings)
     covariance = np.zeros_like(N)
@@ -96,10 +96,10 @@ def _normal_equations(
     if not len(pixels):
         return N, b, np.sqrt(square / rows), 0.0
     points = reproject_points(window, pixels, rig, settings)
-    if len(points.seen) < _MIN_POINTS:
+    if len(points.seen) < MIN_POINTS:
         raise InitializationError(
             f"{len(points.seen)} of {len(pixels)} points fit the window's poses"
-            f" (at least {_MIN_POINTS})"
+            f" (at least {MIN_POINTS})"
         )
     points = robustly_weighted(points)
     N_images, b_images = schur_complement(window, points)
@@ -142,7 +142,7 @@ def robustly_weighted(points: Reprojection) -> Reprojection:
     """
     rows = np.maximum(points.seen.sum((1, 2)) - 3, 1)
     error = (points.residual**2).sum((1, 2)) / rows
-    median = max(float(np.median(error)), _MIN_VARIANCE)
+    median = max(float(np.median(error)), 1e-4)  # simulated pixels may be exact
     at_median = 1.0 + 1.0 / _LOSS_SCALE**2
     weight = np.minimum(at_median / (1.0 + error / (_LOSS_SCALE**2 * median)), 1.0)[:, None, None]
     return Reprojection(
@@ -183,7 +183,7 @@ def schur_complement(window: KeyframeWindow, points: Reprojection) -> NormalEqua
 
 
 def keyframe_pixels(
-    frames: Sequence[FrontendFrame], feature_id: IntArray, max_features: int
+    frames: Sequence[FrontendFrame], feature_id: IntArray, *, max_features: int = 600
 ) -> FloatArray:
     """Pixels (F, K, 4), NaN where unseen, of those of the features that two frames or more have
     seen; at most `max_features`, the longest tracks first."""

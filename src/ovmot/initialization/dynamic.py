@@ -16,16 +16,16 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InitializationError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.initialization.static import MAX_GRAVITY_ERROR, gravity_aligned_rotation
+from ovmot.initialization.static import gravity_aligned_rotation
 from ovmot.initialization.stereo_path import StereoPath, occupied_cells, stereo_path
+from ovmot.physics import GYRO_BIAS_SIGMA_RPS, MAX_ACCEL_BIAS_MPS2
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 from ovmot.vio.integrators import integrate_rk4
 from ovmot.vio.propagation import Propagation, propagate_imu
 from ovmot.vio.state import ACCEL_BIAS, GYRO_BIAS, N_IMU, POSITION, THETA, ImuState
 
-_GYRO_BIAS_SIGMA = 0.05  # rad/s, prior
-_MAX_BODIES = 3
-_MAX_RMS = 2.0  # of the whitened residuals
+MAX_RMS = 3.0
+"""Root mean square of whitened residuals beyond which a solution is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +52,20 @@ def dynamic_initialization(
     rig: StereoRig,
     noise: ImuNoise,
     prior: InitializationPrior,
+    *,
+    max_bodies: int = 3,
 ) -> DynamicSolution:
     """The initial state by the features of K frames and the K - 1 IMU intervals between them.
 
-    The world is not the body with most points: bodies that move alike are tried, the one with most
-    points first, and of those whose motion agrees with the IMU the one that occupies most space is
-    the world. Raises `InitializationError` where the images give no motion, or none that agrees.
+    The world is not the body with most points: up to `max_bodies`, each of points that move alike,
+    are tried, the one with most points first, and of those whose motion agrees with the IMU the one
+    that occupies most space is the world. Raises `InitializationError` where the images give no
+    motion, or none that agrees.
     """
     solutions: list[tuple[int, DynamicSolution]] = []
     reasons: list[str] = []
     other_bodies = np.empty(0, dtype=np.int64)
-    for _ in range(_MAX_BODIES):
+    for _ in range(max_bodies):
         try:
             path = stereo_path(frames, imu, rig, other_bodies)
         except InitializationError as error:
@@ -92,17 +95,18 @@ def align_with_imu(
     t = np.array([(i.timestamp_ns[-1] - imu[0].timestamp_ns[0]) * 1e-9 for i in imu])
     alpha = np.array([x.imu.position for x in preintegrated])
     by_bias = np.array([x.transition[POSITION, ACCEL_BIAS] for x in preintegrated])
-    p, sigma = path.T_first_imu[1:, :3, 3], path.sigma[1:]
+    p = path.T_first_imu[1:, :3, 3]
+    sigma = _total_sigma(path.position_sigma, preintegrated, POSITION)
     gravity = _solve_gravity(p - alpha, t, sigma)
-    if abs(np.linalg.norm(gravity) - prior.gravity) > MAX_GRAVITY_ERROR:
+    if abs(np.linalg.norm(gravity) - prior.gravity) > MAX_ACCEL_BIAS_MPS2:
         raise InitializationError(
             f"gravity from stereo motion and IMU is {np.linalg.norm(gravity):.2f} m/s²"
-            f" (within {MAX_GRAVITY_ERROR:g} of {prior.gravity:g})"
+            f" (within {MAX_ACCEL_BIAS_MPS2:g} of {prior.gravity:g})"
         )
     fit = _refine_with_known_gravity(p - alpha, by_bias, t, sigma, gravity, prior)
-    if fit.rms > _MAX_RMS:
+    if fit.rms > MAX_RMS:
         raise InitializationError(
-            f"IMU and stereo motion differ by {fit.rms:.1f} sigma (at most {_MAX_RMS:g})"
+            f"IMU and stereo motion differ by {fit.rms:.1f} sigma (at most {MAX_RMS:g})"
         )
     R = gravity_aligned_rotation(-fit.gravity)
     zero = np.zeros(3)
@@ -119,28 +123,35 @@ def _cells_of(feature_id: IntArray, frames: Sequence[FrontendFrame], rig: Stereo
 def _preintegrate_from_first(
     imu: Sequence[ImuData], gyro_bias: FloatArray, noise: ImuNoise
 ) -> list[Propagation]:
-    """Motion without gravity from the first sample to the end of each interval, with Jacobians.
-
-    The noise of each result is that of its last interval only.
-    """
+    """Motion without gravity from the first sample to the end of each interval, with its Jacobian
+    and noise."""
     zero = np.zeros(3)
     state = ImuState(np.eye(3), zero, zero, gyro_bias, zero)
-    transition = np.eye(N_IMU)
+    transition, Q = np.eye(N_IMU), np.zeros((N_IMU, N_IMU))
     out: list[Propagation] = []
     for samples in imu:
         step = propagate_imu(state, state, samples, noise, 0.0, integrate_rk4)
-        state, transition = step.imu, step.transition[:, :N_IMU] @ transition
-        out.append(replace(step, transition=transition))
+        F = step.transition[:, :N_IMU]
+        state, transition, Q = step.imu, F @ transition, F @ Q @ F.T + step.noise
+        out.append(replace(step, transition=transition, noise=Q))
     return out
+
+
+def _total_sigma(
+    path_sigma: FloatArray, preintegrated: Sequence[Propagation], block: slice
+) -> FloatArray:
+    """Standard deviations (K - 1,), on each axis, between path and IMU after each interval."""
+    imu_variance = [np.trace(x.noise[block, block]) / 3.0 for x in preintegrated]
+    return np.asarray(np.sqrt(path_sigma[1:] ** 2 + imu_variance))
 
 
 def _gyro_bias(path: StereoPath, imu: Sequence[ImuData], noise: ImuNoise) -> FloatArray:
     """Gauss-Newton on the rotations: log(ΔR_kᵀ R_k) = ∂θ_k/∂b_g δb_g, with a prior."""
     bias = np.zeros(3)
-    sigma = 0.002 * np.sqrt(np.arange(1, len(path.sigma)))
     for _ in range(3):
         preintegrated = _preintegrate_from_first(imu, bias, noise)
-        N, c = np.eye(3) / _GYRO_BIAS_SIGMA**2, -bias / _GYRO_BIAS_SIGMA**2
+        sigma = _total_sigma(path.rotation_sigma, preintegrated, THETA)
+        N, c = np.eye(3) / GYRO_BIAS_SIGMA_RPS**2, -bias / GYRO_BIAS_SIGMA_RPS**2
         for k, motion in enumerate(preintegrated):
             J = motion.transition[THETA, GYRO_BIAS]
             r = so3.log(motion.imu.R_world_imu.T @ path.T_first_imu[k + 1, :3, :3])

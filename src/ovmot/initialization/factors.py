@@ -21,16 +21,14 @@ from ovmot.initialization.window import (
     OFFSET,
     KeyframeWindow,
 )
+from ovmot.physics import GYRO_BIAS_SIGMA_RPS
+from ovmot.settings import ZeroVelocitySettings
 from ovmot.types import ImuData, ImuNoise
 from ovmot.vio.integrators import Integrator
 from ovmot.vio.propagation import Propagation, propagate_imu
 from ovmot.vio.state import GYRO_BIAS, POSITION, THETA, VELOCITY, ImuState
 
 GAUGE_SIGMA = 1e-5  # m and rad: origin and heading of the world are defined, not measured
-_GYRO_BIAS_SIGMA = 0.05  # rad/s
-_REST_SPEED_SIGMA = 5e-3  # m/s, of a body that rocks on its springs
-_REST_ROTATION_SIGMA = 1e-5  # rad, between two keyframes
-_REST_SHIFT_SIGMA = 5e-4  # m, between two keyframes
 _INTEGRATION_SIGMA = 1e-6  # rad, m, m/s: keeps Q of a single sample pair from being singular
 
 Factor = tuple[FloatArray, FloatArray]
@@ -112,15 +110,19 @@ def _interval_factor(
     return r, J
 
 
-def zero_velocity_factor(window: KeyframeWindow) -> Factor:
-    """9 rows for each keyframe of a stationary rig: zero velocity, the pose of the one before."""
+def zero_velocity_factor(window: KeyframeWindow, settings: ZeroVelocitySettings) -> Factor:
+    """9 rows for each keyframe of a stationary rig: zero velocity, the pose of the one before.
+
+    With the standard deviations of the filter's zero-velocity update.
+    """
     T, n = window.T_world_imu, len(window)
-    sigma = np.repeat([_REST_ROTATION_SIGMA, _REST_SHIFT_SIGMA], 3)
+    velocity_sigma = settings.velocity_sigma_mps
+    sigma = np.repeat([settings.rotation_sigma_rad, settings.position_sigma_m], 3)
     r, J = np.zeros((n, KEYFRAME_SIZE)), np.zeros((n, KEYFRAME_SIZE, window.size))
     for k in range(n):
         now = J[k, :, window.columns(k)]
-        r[k, VELOCITY] = window.velocity[k] / _REST_SPEED_SIGMA
-        now[VELOCITY, VELOCITY] = np.eye(3) / _REST_SPEED_SIGMA
+        r[k, VELOCITY] = window.velocity[k] / velocity_sigma
+        now[VELOCITY, VELOCITY] = np.eye(3) / velocity_sigma
         if k == 0:
             continue
         before = J[k, :, window.columns(k - 1)]
@@ -152,7 +154,7 @@ def prior_factor(
     r[:3] = window.T_world_imu[0, :3, 3] / GAUGE_SIGMA
     J[:3, first + 3 : first + 6] = eye / GAUGE_SIGMA
     J[3, first : first + 3] = up_body / GAUGE_SIGMA
-    r[4:7], J[4:7, BIAS_OF_GYRO] = window.gyro_bias / _GYRO_BIAS_SIGMA, eye / _GYRO_BIAS_SIGMA
+    r[4:7], J[4:7, BIAS_OF_GYRO] = window.gyro_bias / GYRO_BIAS_SIGMA_RPS, eye / GYRO_BIAS_SIGMA_RPS
     r[7:10], J[7:10, BIAS_OF_ACCEL] = window.accel_bias / accel_bias_sigma, eye / accel_bias_sigma
     r[10:], J[10:, OFFSET:n] = deviation * weight, np.diag(weight)
     return r, J

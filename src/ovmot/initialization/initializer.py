@@ -12,7 +12,7 @@ from ovmot.feature_table import FeatureTable, append_frame, empty_table, mark_us
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.initialization.bundle_adjustment import AdjustedWindow, bundle_adjust, keyframe_pixels
-from ovmot.initialization.dynamic import InitializationPrior, dynamic_initialization
+from ovmot.initialization.dynamic import MAX_RMS, InitializationPrior, dynamic_initialization
 from ovmot.initialization.factors import (
     Factor,
     ImuIntervals,
@@ -23,6 +23,7 @@ from ovmot.initialization.factors import (
 )
 from ovmot.initialization.static import static_initialization
 from ovmot.initialization.window import KeyframeWindow, filter_state
+from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
 from ovmot.types import FrontendFrame, ImuNoise
 from ovmot.vio.filter import MsckfFilter
@@ -34,9 +35,6 @@ from ovmot.vio.state import ACCEL_BIAS, GYRO_BIAS, ImuState
 
 _MIN_STATIC_FRAMES = 3
 _MIN_DYNAMIC_FRAMES = 5
-_SPACING_SLACK = 0.95  # frames do not come to the nanosecond
-_MAX_FEATURES = 600  # of the bundle adjustment, the longest tracks first
-_MAX_RMS = 3.0  # of the whitened residuals
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,10 +137,10 @@ class FilterInitializer:
         """The filter after bundle adjustment, and the table with used observations marked."""
         for_filter = self._features_for_filter(guess)
         adjusted = self._bundle_adjusted(guess, np.setdiff1d(guess.feature_id, for_filter), imu)
-        if max(adjusted.factor_rms, adjusted.pixel_rms) > _MAX_RMS:
+        if max(adjusted.factor_rms, adjusted.pixel_rms) > MAX_RMS:
             raise InitializationError(
                 f"IMU and images of the window are off by {adjusted.factor_rms:.1f} and"
-                f" {adjusted.pixel_rms:.1f} sigma (at most {_MAX_RMS:g})"
+                f" {adjusted.pixel_rms:.1f} sigma (at most {MAX_RMS:g})"
             )
         frames = guess.frames
         n_without_frame = len(guess.imu_ns) - len(frames)
@@ -192,13 +190,15 @@ class FilterInitializer:
         window = _with_velocities(window, guess.first.velocity, intervals, gravity)
 
         def factors(at: KeyframeWindow) -> list[Factor]:
-            always = [
+            out = [
                 imu_factor(at, intervals, gravity),
                 prior_factor(at, accel_bias_sigma, sigma_s, variance),
             ]
-            return [*always, zero_velocity_factor(at)] if guess.stationary else always
+            if guess.stationary:
+                out.append(zero_velocity_factor(at, settings.zero_velocity))
+            return out
 
-        pixels = keyframe_pixels(guess.frames, feature_id, _MAX_FEATURES)
+        pixels = keyframe_pixels(guess.frames, feature_id)
         no_frame = np.full((len(pixels), len(gyro) - len(guess.frames), 4), np.nan)
         return bundle_adjust(
             window, factors, np.concatenate([no_frame, pixels], axis=1), self.rig, settings.filter,
@@ -222,7 +222,7 @@ class FilterInitializer:
 
     def _keyframes(self, frames: Sequence[FrontendFrame]) -> list[int]:
         """The first and the last frame, and those between that are `clone_spacing_s` apart."""
-        spacing_ns = _SPACING_SLACK * 1e9 * self.settings.filter.clone_spacing_s
+        spacing_ns = (1.0 - FRAME_JITTER) * 1e9 * self.settings.filter.clone_spacing_s
         last = len(frames) - 1
         out = [0]
         for k in range(1, last):

@@ -9,18 +9,17 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InitializationError
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
-from ovmot.initialization.stereo_path import PIXEL_SIGMA, occupied_cells
-from ovmot.physics import REST_SHIFT_M
+from ovmot.geometry.stereo_motion import MIN_POINTS, motion_is_significant, solve_stereo_motion
+from ovmot.initialization.stereo_path import occupied_cells
+from ovmot.physics import (
+    GYRO_BIAS_SIGMA_RPS,
+    MAX_ACCEL_BIAS_MPS2,
+    REST_SHIFT_M,
+    tracked_pixel_sigma,
+)
 from ovmot.settings import InitializationSettings
 from ovmot.types import FrontendFrame, ImuData, tracked_pixels
 from ovmot.vio.state import ImuState
-
-MAX_GRAVITY_ERROR = 1.5
-"""m/s² off gravity, of an initial state: beyond the bias of any sensor, as wrong units are."""
-
-_MIN_POINTS = 8
-_ROTATION_SIGMA = 0.01  # rad over the window, of a rig whose gyroscope varies little
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +57,7 @@ def static_initialization(
     rig moves.
     """
     check_imu_is_stationary(imu, settings, gravity)
-    points = stationary_points(frames[0], frames[-1], rig, settings.rest_pixel)
+    points = stationary_points(frames, rig, settings.rest_pixel)
     check_images_are_stationary(points, settings)
     return StaticSolution(stationary_state(imu), points.feature_id)
 
@@ -66,10 +65,10 @@ def static_initialization(
 def check_imu_is_stationary(imu: ImuData, settings: InitializationSettings, gravity: float) -> None:
     """Raise `InitializationError` where the IMU says that the rig moves."""
     force = float(np.linalg.norm(imu.accel.mean(0)))
-    if abs(force - gravity) > MAX_GRAVITY_ERROR:
+    if abs(force - gravity) > MAX_ACCEL_BIAS_MPS2:
         raise InitializationError(
             f"accelerometer measures {force:.2f} m/s²"
-            f" (stationary within {MAX_GRAVITY_ERROR:g} of {gravity:g})"
+            f" (stationary within {MAX_ACCEL_BIAS_MPS2:g} of {gravity:g})"
         )
     gyro, accel = float(imu.gyro.std(0).max()), float(imu.accel.std(0).max())
     if gyro > settings.rest_gyro_rps:
@@ -84,18 +83,23 @@ def check_imu_is_stationary(imu: ImuData, settings: InitializationSettings, grav
 
 
 def stationary_points(
-    first: FrontendFrame, last: FrontendFrame, rig: StereoRig, max_pixels: float
+    frames: Sequence[FrontendFrame], rig: StereoRig, max_pixels: float
 ) -> StationaryPoints:
-    """The features that moved less than `max_pixels` in their image from one frame to another."""
+    """The features that moved less than `max_pixels` from the first frame to the last."""
+    first, last = frames[0], frames[-1]
     _, a, b = np.intersect1d(first.feature_id, last.feature_id, return_indices=True)
     displacement = tracked_pixels(last.pixels[b]) - tracked_pixels(first.pixels[a])
     stationary = np.linalg.norm(displacement, axis=1) < max_pixels
-    if len(a) < _MIN_POINTS:
+    if len(a) < MIN_POINTS:
         return StationaryPoints(last.feature_id[b[stationary]], 0.0, 0, 0)
     before, now = first.normalized[a], last.normalized[b]
     # a creeping rig moves all points, though few show it; one behind a truck all but the truck's
     everything = np.ones(len(a), dtype=np.bool_)
-    moving_cells = max(_moving_cells(before[c], now[c], rig) for c in (everything, ~stationary))
+    sigma = rig.normalized_sigma(tracked_pixel_sigma(len(frames) - 1))
+    span_s = 1e-9 * (last.timestamp_ns - first.timestamp_ns)
+    moving_cells = max(
+        _moving_cells(before[c], now[c], rig, sigma, span_s) for c in (everything, ~stationary)
+    )
     return StationaryPoints(
         last.feature_id[b[stationary]],
         float(stationary.mean()),
@@ -104,10 +108,15 @@ def stationary_points(
     )
 
 
-def _moving_cells(before: FloatArray, now: FloatArray, rig: StereoRig) -> int:
-    """Cells occupied by those of the stereo points (N, 4) that move together, 0 without motion."""
-    sigma = rig.normalized_sigma(PIXEL_SIGMA)
-    motion = solve_stereo_motion(before, now, rig.T_cam1_cam0, np.eye(3), sigma, _ROTATION_SIGMA)
+def _moving_cells(
+    before: FloatArray, now: FloatArray, rig: StereoRig, sigma: FloatArray, span_s: float
+) -> int:
+    """Cells occupied by those of the stereo points (N, 4) that move together, 0 without motion.
+
+    `sigma` (4,) of normalized coordinates. The gyroscope varies little, its bias is unknown.
+    """
+    rotation_sigma = GYRO_BIAS_SIGMA_RPS * span_s
+    motion = solve_stereo_motion(before, now, rig.T_cam1_cam0, np.eye(3), sigma, rotation_sigma)
     if motion is None or not motion_is_significant(motion, REST_SHIFT_M):
         return 0
     return occupied_cells(before[motion.inlier], rig)

@@ -16,25 +16,30 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import solve_stereo_motion
 from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
+from ovmot.physics import (
+    CAR_SIZE_M,
+    GYRO_BIAS_SIGMA_RPS,
+    PIXEL_SIGMA,
+    VARIANCE_FACTOR,
+    tracked_pixel_sigma,
+)
 from ovmot.types import FrontendFrame, ImuData
 from ovmot.vio.imu_buffer import integrated_rotation
 
-PIXEL_SIGMA = 1.0  # of a stereo match
-_ROTATION_SIGMA = 0.01  # rad, of the gyro's rotation between two frames, bias unknown
-_MIN_STEP_SIGMA = 0.003  # m, per frame
-_INFLATION = 2.0  # on the path's standard deviations: its errors are not independent
-_CELL_M = 2.0
-_MAX_DEPTH_ERROR = 0.1  # of the depth: farther points are stationary for every motion
 _NO_FEATURES = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class StereoPath:
-    """IMU poses T_first_imu (K, 4, 4) in the IMU's frame at the first of K frames, their position
-    sigmas (K,) in m, and the features (N,) that moved along."""
+    """IMU poses T_first_imu (K, 4, 4) in the IMU's frame at the first of K frames.
+
+    `position_sigma` (K,), m, and `rotation_sigma` (K,), rad: their standard deviations on each
+    axis; `feature_id` (N,): the features that moved along.
+    """
 
     T_first_imu: FloatArray
-    sigma: FloatArray
+    position_sigma: FloatArray
+    rotation_sigma: FloatArray
     feature_id: IntArray
 
 
@@ -51,40 +56,44 @@ def stereo_path(
     `InitializationError` where two frames have no common motion.
     """
     R_cam_imu = rig.T_imu_cam0[:3, :3].T
-    sigma = rig.normalized_sigma(PIXEL_SIGMA)
+    sigma = rig.normalized_sigma(tracked_pixel_sigma(1))
     T_first_cam = [np.eye(4)]
-    variance = [0.0]
+    variances = [np.zeros(6)]
     inliers = _NO_FEATURES
     for before, now, samples in zip(frames[:-1], frames[1:], imu, strict=True):
         tracked, a, b = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
         kept = ~np.isin(tracked, excluded)
         tracked, a, b = tracked[kept], a[kept], b[kept]
         R = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+        span_s = 1e-9 * (now.timestamp_ns - before.timestamp_ns)
         motion = solve_stereo_motion(
-            before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma, _ROTATION_SIGMA
-        )
+            before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma,
+            GYRO_BIAS_SIGMA_RPS * span_s,
+        )  # fmt: skip
         if motion is None:
             raise InitializationError(f"no common stereo motion among {len(a)} tracked points")
         in_stereo = np.isfinite(before.normalized[a] + now.normalized[b]).all(axis=1)
         excluded = np.union1d(excluded, tracked[in_stereo & ~motion.inlier])
         inliers = np.union1d(inliers, tracked[motion.inlier])
         T_first_cam.append(T_first_cam[-1] @ se3.inverse(motion.T_now_before))
-        mean_variance = float(np.trace(motion.covariance[3:, 3:])) / 3.0
-        variance.append(variance[-1] + mean_variance + _MIN_STEP_SIGMA**2)
+        variances.append(variances[-1] + VARIANCE_FACTOR * np.diag(motion.covariance))
     T = rig.T_imu_cam0 @ np.array(T_first_cam) @ se3.inverse(rig.T_imu_cam0)
     inliers = np.setdiff1d(inliers, excluded)
-    return StereoPath(T, _INFLATION * np.sqrt(np.array(variance)), inliers)
+    rotation_sigma, position_sigma = np.sqrt(np.reshape(variances, (-1, 2, 3)).mean(axis=2)).T
+    return StereoPath(T, position_sigma, rotation_sigma, inliers)
 
 
-def occupied_cells(normalized: FloatArray, rig: StereoRig) -> int:
-    """Number of cubes of 2 m that hold stereo points whose depth is known to a tenth.
+def occupied_cells(normalized: FloatArray, rig: StereoRig, *, max_depth_error: float = 0.1) -> int:
+    """Number of cubes as wide as a car that hold stereo points of known depth.
 
-    `normalized` (N, 4): coordinates of stereo pairs, NaN where unseen.
+    `normalized` (N, 4): coordinates of stereo pairs, NaN where unseen; `max_depth_error`: greatest
+    standard deviation of the depth, as a share of it. Farther points keep their place in the image
+    whatever moves.
     """
     p = triangulate_stereo(normalized, rig.T_cam1_cam0)
     p = p[np.isfinite(p).all(axis=1)]
     if not len(p):
         return 0
     C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(PIXEL_SIGMA))
-    p = p[np.sqrt(C[:, 2, 2]) < _MAX_DEPTH_ERROR * p[:, 2]]
-    return len(np.unique(np.floor(p / _CELL_M).astype(np.int64), axis=0))
+    p = p[np.sqrt(C[:, 2, 2]) < max_depth_error * p[:, 2]]
+    return len(np.unique(np.floor(p / CAR_SIZE_M[1]).astype(np.int64), axis=0))

@@ -9,6 +9,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, keep_window, share_clone
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
 from ovmot.types import CalibrationEstimate, EgoEstimate, Health, ImuNoise, PoseWindow
 from ovmot.vio.imu_buffer import ImuBuffer
@@ -29,8 +30,6 @@ from ovmot.vio.state import (
 )
 from ovmot.vio.visual_update import update_with_features
 from ovmot.vio.zero_velocity import zero_velocity_detected, zero_velocity_update
-
-_SPACING_SLACK = 1.05  # frames do not come to the nanosecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +124,8 @@ class MsckfFilter:
         n, settings = len(stamps), self.settings.filter
         if stationary and n >= 2:
             return n - 1
-        if n >= 3 and stamps[-1] - stamps[-3] <= _SPACING_SLACK * 1e9 * settings.clone_spacing_s:
+        spacing_ns = (1.0 + FRAME_JITTER) * 1e9 * settings.clone_spacing_s
+        if n >= 3 and stamps[-1] - stamps[-3] <= spacing_ns:
             return n - 2
         return 0 if n > settings.max_clones else None
 

@@ -13,11 +13,10 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.physics import gate
+from ovmot.physics import VARIANCE_FACTOR, gate
 from ovmot.vio.state import VELOCITY, State
 from ovmot.vio.update import compress, innovation_factor
 
-_SLACK = 2.0  # on the gate: errors of drifted patches are not white
 _PROBABILITY = 1.0 - 1e-5
 _VELOCITY_DOF = VELOCITY.stop - VELOCITY.start
 
@@ -84,7 +83,7 @@ def innovation_consistency(
         weight[candidates[:n]] = weights[:n]
         rows = compress(*_weighted_rows(H, residual, weight))
         L = innovation_factor(P, rows[0], np.ones(len(rows[1])))
-        bound = _SLACK * gate(_VELOCITY_DOF, _PROBABILITY)
+        bound = VARIANCE_FACTOR * gate(_VELOCITY_DOF, _PROBABILITY)
         if velocity_distance(state, *rows, columns, L) < bound:
             return ConsistentUpdate(weight, *rows, L)
         n //= 2

@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.physics import ACCEL_SIGMA_MPS2, MANOEUVRE_S, YAW_RATE_SIGMA_RPS
 from ovmot.types import ImuData, ImuNoise
 from ovmot.vio.integrators import Increments, Integrator
 from ovmot.vio.online_calibration import (
@@ -35,9 +36,10 @@ from ovmot.vio.state import (
 )
 
 _NO_CALIBRATION = OnlineCalibration()
-# Where samples are missing, nothing was measured: the motion is only known to be a vehicle's.
-_GAP_GYRO = 0.5  # rad/s/sqrt(Hz)
-_GAP_ACCEL = 3.0  # m/s²/sqrt(Hz)
+# Where samples are missing, nothing was measured: the motion is only known to be a vehicle's. Noise
+# of deviation σ that persists for a time τ has the density σ √(2τ) (R. Singer, IEEE TAES 1970).
+_GAP_GYRO = YAW_RATE_SIGMA_RPS * float(np.sqrt(2.0 * MANOEUVRE_S))  # rad/s/sqrt(Hz)
+_GAP_ACCEL = ACCEL_SIGMA_MPS2 * float(np.sqrt(2.0 * MANOEUVRE_S))  # m/s²/sqrt(Hz)
 
 
 @dataclass(frozen=True, slots=True)

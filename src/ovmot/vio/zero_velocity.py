@@ -11,18 +11,18 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.stereo_motion import motion_is_significant, solve_stereo_motion
-from ovmot.physics import REST_SHIFT_M, gate
+from ovmot.geometry.stereo_motion import MIN_POINTS, motion_is_significant, solve_stereo_motion
+from ovmot.physics import (
+    FRAME_JITTER,
+    REST_SHIFT_M,
+    VARIANCE_FACTOR,
+    gate,
+    tracked_pixel_sigma,
+)
 from ovmot.settings import ZeroVelocitySettings
 from ovmot.types import tracked_pixels
 from ovmot.vio.state import VELOCITY, State
 from ovmot.vio.update import ekf_update, innovation_distance
-
-_MIN_POINTS = 8
-_MAX_POINTS = 60
-_PIXEL_SIGMA = 0.5  # of a stereo match, for the metric motion
-_ROTATION_SIGMA = 1e-3  # rad over the look-back, of a stationary rig
-_PREDICTION_SLACK = 3.0  # the prediction's covariance is optimistic; its gate is wider by this
 
 
 def zero_velocity_detected(
@@ -43,7 +43,7 @@ def image_is_stationary(
     if table.shape[0] < 2:
         return False
     age = (table.frame_ns[-1] - table.frame_ns) * 1e-9
-    row = int(np.flatnonzero(age <= settings.look_back_s * 1.01)[0])
+    row = int(np.flatnonzero(age <= settings.look_back_s * (1.0 + FRAME_JITTER))[0])
     if age[row] < 0.5 * settings.look_back_s:
         return False
     candidates = ~table.outlier & ~table.dynamic
@@ -51,7 +51,8 @@ def image_is_stationary(
     share = stationary_share(now, then, candidates, settings.pixel)
     if share < settings.still_share:
         return False
-    return not _has_moved(table.normalized[row, candidates], table.normalized[-1, candidates], rig)
+    before, latest = table.normalized[row, candidates], table.normalized[-1, candidates]
+    return not _has_moved(before, latest, table.shape[0] - 1 - row, rig, settings)
 
 
 def stationary_share(
@@ -62,7 +63,7 @@ def stationary_share(
     `pixels`, `earlier` (N, 2), NaN where unseen; 0 with fewer than 8 points to compare.
     """
     both = candidates & np.isfinite(pixels[:, 0]) & np.isfinite(earlier[:, 0])
-    if both.sum() < _MIN_POINTS:
+    if both.sum() < MIN_POINTS:
         return 0.0
     distance = np.linalg.norm(pixels[both] - earlier[both], axis=1)
     return float((distance < max_pixels).mean())
@@ -73,8 +74,8 @@ def prediction_is_stationary(state: State, settings: ZeroVelocitySettings) -> bo
     if len(state.clones) < 2:
         return False
     H, columns, residual, variance = zero_velocity_measurement(state, settings)
-    distance = innovation_distance(state, H, columns, residual, _PREDICTION_SLACK * variance)
-    return distance < _PREDICTION_SLACK * gate(len(residual), 0.999)
+    distance = innovation_distance(state, H, columns, residual, variance)
+    return distance < VARIANCE_FACTOR * gate(len(residual), 0.999)
 
 
 def zero_velocity_update(state: State, settings: ZeroVelocitySettings) -> State:
@@ -111,17 +112,27 @@ def zero_velocity_measurement(
     return H, columns, residual, sigma**2
 
 
-def _has_moved(before: FloatArray, now: FloatArray, rig: StereoRig) -> bool:
+def _has_moved(
+    before: FloatArray,
+    now: FloatArray,
+    n_frames: int,
+    rig: StereoRig,
+    settings: ZeroVelocitySettings,
+    *,
+    max_points: int = 60,
+) -> bool:
     """Is there a translation of the left camera beyond its own uncertainty and a centimetre?
 
-    `before`, `now` (N, 4): normalized stereo coordinates.
+    `before`, `now` (N, 4): normalized stereo coordinates, `n_frames` apart. Of a stationary rig
+    the rotation is known; the `max_points` nearest points tell the translation best.
     """
     disparity = np.nan_to_num(before[:, 0] - before[:, 2])
-    nearest = np.argsort(-disparity, kind="stable")[:_MAX_POINTS]  # best known in translation
+    nearest = np.argsort(-disparity, kind="stable")[:max_points]
+    sigma = rig.normalized_sigma(tracked_pixel_sigma(n_frames))
+    rotation_sigma = settings.rotation_sigma_rad * np.sqrt(n_frames)
     motion = solve_stereo_motion(
-        before[nearest], now[nearest], rig.T_cam1_cam0, np.eye(3),
-        rig.normalized_sigma(_PIXEL_SIGMA), _ROTATION_SIGMA,
-    )  # fmt: skip
+        before[nearest], now[nearest], rig.T_cam1_cam0, np.eye(3), sigma, rotation_sigma
+    )
     if motion is None:
         return False  # too few stereo points to say
     return motion_is_significant(motion, REST_SHIFT_M)
