@@ -11,7 +11,7 @@ import pytest
 from ovmot import odometry as odometry_module
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError, OvmotError
-from ovmot.feature_table import FeatureTable
+from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
@@ -19,6 +19,7 @@ from ovmot.interfaces import Feedback
 from ovmot.objects import moving_objects
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.odometry import STAGES, Odometry, camera_motion, noise_in_use
+from ovmot.physics import MEMS_NOISE
 from ovmot.segmentation.segmentation import Segmentation, segment_points
 from ovmot.settings import ObjectSettings, Settings
 from ovmot.types import (
@@ -342,13 +343,13 @@ def test_a_refused_right_observation_never_reaches_the_filter(
     their left halves are.
     """
     tables: list[FeatureTable] = []
-    true_correct = MsckfFilter.update
+    true_update = MsckfFilter.update
 
-    def correct(ego: MsckfFilter, table: FeatureTable) -> object:
+    def update(ego: MsckfFilter, table: FeatureTable, history: StereoHistory) -> object:
         tables.append(table)
-        return true_correct(ego, table)
+        return true_update(ego, table, history)
 
-    monkeypatch.setattr(MsckfFilter, "update", correct)
+    monkeypatch.setattr(MsckfFilter, "update", update)
     frames = frames_of(painted_pair, 20, lift=6)
     odometry = with_filter(painted_rig)
     tested = _spy_on_matches(odometry, monkeypatch)
@@ -532,10 +533,10 @@ def test_a_lost_filter_starts_again_where_it_was(
     assert len({r.timestamp_ns for r in results}) == len(results)
 
 
-def test_noise_of_the_imu_settings_before_data_before_fallback() -> None:
+def test_noise_of_the_imu_settings_before_data_before_a_usual_unit() -> None:
     data = ImuNoise(1.0, 2.0, 3.0, 4.0)
     given = Settings.model_validate({"imu": {"gyro_walk": 0.5}}).imu
     assert noise_in_use(data, given) == ImuNoise(1.0, 0.5, 3.0, 4.0)
     unknown = noise_in_use(None, Settings().imu)
-    assert unknown == ImuNoise(*Settings().imu.fallback)
+    assert unknown == ImuNoise(*MEMS_NOISE)
     assert noise_in_use(None, given).gyro_walk == 0.5

@@ -10,10 +10,14 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import positions
-from ovmot.types import FrontendFrame
+from ovmot.types import FrontendFrame, PixelNoise
 
 MAX_SHARING_ROWS = 20
 """Frames of a standstill that are remembered for the split; the filter needs none of them."""
+
+
+LOOK_BACK_TOLERANCE = 0.3
+"""Part of a look-back time by which a frame may miss it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +62,63 @@ class FeatureTable:
     def columns(self, feature_id: IntArray) -> IntArray:
         """Columns (N,) of features (N,), -1 for those that the table does not hold."""
         return positions(feature_id, self.feature_id)
+
+
+@dataclass(frozen=True, slots=True)
+class StereoHistory:
+    """Stereo pairs and positions of N features at L earlier frames, oldest first, and now.
+
+    `feature_id` (N,); `row` (L,): rows of the feature table; `clone_ns` (L,): the clones that hold
+    their poses; `span_s` (L,) seconds and `n_frames` (L,) frames before now. `then` (L, N, 4) and
+    `now` (N, 4): normalized coordinates. `p_then` (L, N, 3), `p_now` (N, 3): positions in the left
+    camera of that time, metres, with covariances `cov_then` (L, N, 3, 3), `cov_now` (N, 3, 3). NaN
+    where there is no stereo pair. `noise`: that of the pixels, from which the covariances follow.
+    """
+
+    feature_id: IntArray
+    row: IntArray
+    clone_ns: IntArray
+    span_s: FloatArray
+    n_frames: IntArray
+    then: FloatArray
+    now: FloatArray
+    p_then: FloatArray
+    cov_then: FloatArray
+    p_now: FloatArray
+    cov_now: FloatArray
+    noise: PixelNoise
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def younger(self, max_span_s: float) -> "StereoHistory":
+        """The history without the frames that are longer ago."""
+        kept = self.span_s < max_span_s + 0.5 * LOOK_BACK_TOLERANCE * self.span_s.min(
+            initial=max_span_s
+        )
+        return replace(
+            self,
+            row=self.row[kept],
+            clone_ns=self.clone_ns[kept],
+            span_s=self.span_s[kept],
+            n_frames=self.n_frames[kept],
+            then=self.then[kept],
+            p_then=self.p_then[kept],
+            cov_then=self.cov_then[kept],
+        )
+
+    def only(self, index: IntArray) -> "StereoHistory":
+        """The history of some features."""
+        return replace(
+            self,
+            feature_id=self.feature_id[index],
+            then=self.then.take(index, axis=1),
+            now=self.now[index],
+            p_then=self.p_then.take(index, axis=1),
+            cov_then=self.cov_then.take(index, axis=1),
+            p_now=self.p_now[index],
+            cov_now=self.cov_now[index],
+        )
 
 
 def empty_table() -> FeatureTable:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError
-from ovmot.feature_table import FeatureTable
+from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.types import (
     EgoEstimate,
@@ -86,8 +86,11 @@ class OdometrySource(Protocol):
         """Propagate to the frame's time and clone the pose."""
         ...
 
-    def update(self, table: FeatureTable) -> tuple[Self, FeatureTable]:
-        """Update by the features of the table, without dynamic ones and outliers."""
+    def update(self, table: FeatureTable, history: StereoHistory) -> tuple[Self, FeatureTable]:
+        """Update by the features of the table, without dynamic ones and outliers.
+
+        `history` is that of the newest frame, for zero-velocity detection.
+        """
         ...
 
     def marginalize(self, table: FeatureTable) -> tuple[Self, FeatureTable]:

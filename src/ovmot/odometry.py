@@ -8,6 +8,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.feature_table import (
     FeatureTable,
+    StereoHistory,
     append_frame,
     empty_table,
     mark_dynamic,
@@ -28,10 +29,10 @@ from ovmot.interfaces import (
     no_feedback,
 )
 from ovmot.objects.moving_objects import MovingObjects
-from ovmot.physics import PIXEL_SIGMA
+from ovmot.physics import MEMS_NOISE, PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
 from ovmot.segmentation.segmentation import Segmentation, segment_points
-from ovmot.segmentation.stereo_history import StereoHistory, stereo_history
+from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.settings import ImuSettings, Settings
 from ovmot.types import (
     EgoEstimate,
@@ -167,7 +168,7 @@ class Odometry:
             )
         # 4 update: zero velocity, SLAM features in view, ended MSCKF features
         with watch.stage("update"):
-            source, table = source.update(table)
+            source, table = source.update(table, history)
         # 5 objects: cluster, rigid motions, tracks, by the updated motion
         with watch.stage("objects"):
             objects = self._objects.step(
@@ -265,10 +266,10 @@ class Odometry:
         else:
             for seen in frames:
                 source = source.propagate(seen.timestamp_ns, self._imu)
-                table, _, segmentation = self._segment(
+                table, history, segmentation = self._segment(
                     append_frame(table, seen), seen, source, noise
                 )
-                source, table = source.update(table)
+                source, table = source.update(table, history)
                 source, table = source.marginalize(table)
         self._before_start.clear()
         return source, table, segmentation
@@ -338,8 +339,8 @@ def camera_motion(window: PoseWindow, rig: StereoRig) -> FloatArray:
 
 
 def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:
-    """Noise densities: the settings' where given, else the data's, else the settings' fallback."""
-    known = calibrated or ImuNoise(*settings.fallback)
+    """Noise densities: the settings' where given, else the data's, else a MEMS unit's."""
+    known = calibrated or ImuNoise(*MEMS_NOISE)
     return ImuNoise(
         gyro=settings.gyro_noise or known.gyro,
         gyro_walk=settings.gyro_walk or known.gyro_walk,

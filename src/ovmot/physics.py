@@ -35,6 +35,10 @@ GYRO_BIAS_SIGMA_RPS = 0.05
 MAX_ACCEL_BIAS_MPS2 = 1.5
 """Beyond the bias of any accelerometer: 0.15 g, the zero-g offset in data sheets of MEMS units."""
 
+MEMS_NOISE = (1.7e-4, 2e-5, 2e-3, 3e-4)
+"""Noise densities of a MEMS unit of the class of the Xsens MTi-300 or the ADIS16448, for data that
+say none: gyro rad/s/√Hz, its walk rad/s²/√Hz, accel m/s²/√Hz, its walk m/s³/√Hz."""
+
 # Road users. Sources: Directive 96/53/EC (greatest vehicle dimensions), friction of dry asphalt.
 MAX_ACCEL_MPS2 = 8.0
 """Hardest braking of a road user: 0.8 g, the friction of tyres on dry asphalt."""
@@ -59,13 +63,15 @@ MAX_VEHICLE_SIZE_M = (18.75, 2.6, 4.0)
 
 WALKER_MPS = 1.34
 """Mean speed of a walker (U. Weidmann, Transporttechnik der Fussgänger, 1993)."""
-SPEED_SPREAD_MPS = 0.5
-"""By which velocities of points of one body differ, standard deviation: the two ends of a car that
-turns by 0.2 rad/s."""
-
 # A rig at rest on its springs or its tripod.
 REST_SHIFT_M = 0.01
 """A body that rocks on its springs moves its camera by up to this."""
+REST_STEP_M = 2e-3
+"""The same from one frame to the next, standard deviation: a tenth of a second of it."""
+REST_SPEED_MPS = 0.02
+"""Its speed, standard deviation: `REST_STEP_M` in a tenth of a second."""
+REST_TURN_RAD = 2e-4
+"""Its rotation from one frame to the next, standard deviation: `REST_STEP_M` over ten metres."""
 
 # Pixels.
 LEAST_MATCH_SIGMA_PX = 0.1

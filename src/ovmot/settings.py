@@ -93,10 +93,6 @@ class FilterSettings(Section):
         "anchored_msckf_inverse_depth", "anchored_single_inverse_depth",
     ] = "anchored_msckf_inverse_depth"  # fmt: skip
     """How landmarks are written in the state."""
-    min_depth_m: float = Field(0.1, gt=0.0)
-    """Triangulated points nearer than this are not used."""
-    max_depth_m: float = Field(150.0, gt=0.0)
-    """Triangulated points farther than this are not used."""
     gravity_mps2: float = Field(9.81, gt=0.0)
     """Magnitude of gravity."""
     estimate_time_offset: bool = True
@@ -121,15 +117,7 @@ class CalibrationSettings(Section):
     position_sigma_m: float = Field(0.01, gt=0.0)
     """Standard deviation of a camera's position at the start."""
     focal_sigma_px: float = Field(3.0, gt=0.0)
-    """Standard deviation of a focal length at the start."""
-    center_sigma_px: float = Field(3.0, gt=0.0)
-    """Standard deviation of an image centre at the start."""
-    distortion_sigma: float = Field(0.005, gt=0.0)
-    """Standard deviation of a distortion coefficient at the start."""
-    imu_matrix_sigma: float = Field(0.005, gt=0.0)
-    """Standard deviation of each scale and misalignment of the IMU at the start."""
-    g_sensitivity_sigma: float = Field(0.001, gt=0.0)
-    """Standard deviation of each g-sensitivity at the start, rad/s per m/s^2."""
+    """Standard deviation of focal lengths and image centres at the start."""
 
     @property
     def any(self) -> bool:
@@ -145,7 +133,7 @@ class MaskSettings(Section):
 
 
 class ImuSettings(Section):
-    """Noise of the IMU; densities left out are the data's, else those of `fallback`."""
+    """Noise of the IMU; densities left out are the data's, else a MEMS unit's."""
 
     gyro_noise: float | None = Field(None, gt=0.0, lt=100.0)
     """Gyroscope white noise density, rad/s/sqrt(Hz)."""
@@ -155,17 +143,8 @@ class ImuSettings(Section):
     """Accelerometer white noise density, m/s^2/sqrt(Hz)."""
     accel_walk: float | None = Field(None, gt=0.0, lt=100.0)
     """Accelerometer bias random walk, m/s^3/sqrt(Hz)."""
-    fallback: tuple[float, float, float, float] = (1.7e-4, 2e-5, 2e-3, 3e-4)
-    """Gyro noise and walk, accel noise and walk of an unknown unit, in the units above."""
     max_gap_s: float = Field(0.1, gt=0.0)
     """A hole in the IMU stream longer than this is reported, and trusted as little as it should."""
-
-    @field_validator("fallback")
-    @classmethod
-    def _densities(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if not all(0.0 < density < 100.0 for density in value):
-            raise ValueError("each must be greater than 0 and less than 100")
-        return value
 
 
 class InitializationSettings(Section):
@@ -181,8 +160,6 @@ class InitializationSettings(Section):
     """At rest, the gyroscope's standard deviation is below this."""
     rest_accel_mps2: float = Field(0.15, gt=0.0)
     """At rest, the accelerometer's standard deviation is below this."""
-    rest_pixel: float = Field(0.5, gt=0.0)
-    """At rest, a point moves less than this in the image, pixels."""
     rest_share: float = Field(0.2, gt=0.0, le=1.0)
     """At rest, at least this share of the points stands still."""
 
@@ -217,17 +194,9 @@ class ZeroVelocitySettings(Section):
     enabled: bool = True
     """Use zero-velocity updates."""
     pixel: float = Field(0.4, gt=0.0)
-    """A point counts as still when it moves less than this over the look-back."""
+    """A point is stationary when it moves less than this in half a second, or a start's window."""
     still_share: float = Field(0.5, gt=0.0, le=1.0)
     """Share of the static points that must be still."""
-    look_back_s: float = Field(0.5, gt=0.0)
-    """How long nothing may have moved."""
-    velocity_sigma_mps: float = Field(0.02, gt=0.0)
-    """Standard deviation of a standing rig's velocity."""
-    rotation_sigma_rad: float = Field(2e-4, gt=0.0)
-    """Standard deviation of its rotation between two frames."""
-    position_sigma_m: float = Field(2e-3, gt=0.0)
-    """Standard deviation of its motion between two frames."""
 
 
 class SegmentationSettings(Section):
@@ -264,8 +233,6 @@ class ObjectSettings(Section):
     """Look for bodies and track them."""
     seed: int = Field(0, ge=0)
     """Seed of the random samples."""
-    neighbour_radius_m: float = Field(1.8, gt=0.0)
-    """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
     min_points: int = Field(3, ge=3)
     """Bodies with fewer points are left out."""
     max_excluded_share: float = Field(0.5, ge=0.0, le=1.0)
@@ -299,8 +266,6 @@ class ObjectTrackSettings(Section):
     """Time that they must span."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""
-    merge_frames: int = Field(3, ge=1)
-    """Frames in a row after which a track that lies on an older one ends."""
 
 
 class LiveSettings(Section):

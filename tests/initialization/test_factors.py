@@ -18,7 +18,7 @@ from ovmot.initialization.factors import (
     zero_velocity_factor,
 )
 from ovmot.initialization.window import KeyframeWindow, window_plus
-from ovmot.settings import CalibrationSettings, ZeroVelocitySettings
+from ovmot.settings import CalibrationSettings
 from ovmot.sim.imu import noisy_imu, perfect_imu
 from ovmot.types import ImuData, ImuNoise
 from ovmot.vio.integrators import integrate_rk4
@@ -82,10 +82,7 @@ def test_derivative_of_the_imu_factor(
 def test_derivative_of_the_zero_velocity_factor(
     make_window: MakeWindow, central_differences: Derivative
 ) -> None:
-    settings = ZeroVelocitySettings()
-    assert_derivative(
-        lambda at: zero_velocity_factor(at, settings), make_window(N), central_differences, 1e-6
-    )
+    assert_derivative(zero_velocity_factor, make_window(N), central_differences, 1e-6)
 
 
 def test_derivative_of_the_prior_and_of_the_heading(

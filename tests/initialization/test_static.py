@@ -24,6 +24,7 @@ from ovmot.vio.state import ImuState
 G = 9.81
 HALF_S = 500_000_000
 SETTINGS = InitializationSettings()
+MAX_PIXELS = 0.5
 StartError = Callable[[ImuState, ImuState], FloatArray]
 
 
@@ -103,7 +104,7 @@ def test_the_body_that_occupies_most_space_is_the_world(
     T = se3.make(np.eye(3), way if rig_moves else np.zeros(3))
     first = observe(rig, np.eye(4), np.concatenate([truck, street]), start_ns, 0.1, rng)
     last = observe(rig, T, np.concatenate([truck + way, street]), start_ns + HALF_S, 0.1, rng)
-    points = stationary_points([first, last], rig, SETTINGS.rest_pixel)
+    points = stationary_points([first, last], rig, MAX_PIXELS)
     assert points.share > SETTINGS.rest_share
     assert is_stationary(points) != rig_moves
 
@@ -118,6 +119,6 @@ def test_a_creeping_rig_is_not_stationary(
     T = se3.make(np.eye(3), np.array([way_m, 0.0, 0.0]))
     first = observe(rig, np.eye(4), landmarks, start_ns, 0.1, rng)
     last = observe(rig, T, landmarks, start_ns + HALF_S, 0.1, rng)
-    points = stationary_points([first, last], rig, SETTINGS.rest_pixel)
+    points = stationary_points([first, last], rig, MAX_PIXELS)
     assert points.share > 0.5
     assert is_stationary(points) == (way_m == 0.0)

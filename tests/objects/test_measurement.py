@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable
+from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects import measurement, static_motion
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
-from ovmot.segmentation.stereo_history import StereoHistory, stereo_history
+from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PixelNoise, PointLabel, PoseWindow, ScenePoints
 

@@ -9,7 +9,7 @@ from ovmot.objects.merging import BESIDE_NS, merge_duplicates
 from ovmot.objects.track import Track, TrackState
 from ovmot.settings import ObjectTrackSettings
 
-SETTINGS = ObjectTrackSettings(merge_frames=3)
+SETTINGS = ObjectTrackSettings()
 
 
 def ids_after(tracks: tuple[Track, ...], frames: int = 5) -> list[int]:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
-from ovmot.segmentation.stereo_history import StereoHistory, history_of
+from ovmot.segmentation.stereo_history import history_of
 from ovmot.types import PixelNoise, PoseWindow
 
 SIGMA_PX = 0.4

@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable, append_frame, empty_table
+from ovmot.feature_table import FeatureTable, StereoHistory, append_frame, empty_table
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
-from ovmot.segmentation.stereo_history import (
-    StereoHistory,
-    look_back_rows,
-    stereo_history,
-)
+from ovmot.segmentation.stereo_history import look_back_rows, stereo_history
 from ovmot.types import FrontendFrame, PixelNoise, PoseWindow
 
 NOISE = PixelNoise(0.4, 0.15, 0.01)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drive_fixtures import OFFSET_SIGMA, SIGMA, Drive, filled_window, pose_error
+from histories import newest_history
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError
@@ -71,7 +72,7 @@ def test_without_features_health_falls_and_comes_back(
         points = landmarks[:0] if dark else landmarks
         table = append_frame(table, observe(rig, curvy_path.pose(stamp), points, stamp))
         ego = ego.propagate(stamp, imu)
-        ego, table = ego.update(table)
+        ego, table = ego.update(table, newest_history(table, ego.rig))
         healths.append(ego.health(stamp))
         ego, table = ego.marginalize(table)
     assert healths[9] == Health.TRACKING
@@ -269,7 +270,7 @@ def test_clones_of_fast_frames_leave_before_the_newest(make_drive: MakeDrive) ->
     for frame in drive.frames:
         ego = ego.propagate(frame.timestamp_ns, drive.imu)
         table = append_frame(table, frame)
-        ego, table = ego.update(table)
+        ego, table = ego.update(table, newest_history(table, ego.rig))
         ego, table = ego.marginalize(table)
         assert ego.window().timestamp_ns[-1] == frame.timestamp_ns
     gaps = np.diff(ego.window().timestamp_ns) * 1e-9

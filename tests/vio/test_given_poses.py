@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from histories import newest_history
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError
@@ -52,12 +53,12 @@ def test_a_frame_without_a_pose_is_an_error_and_never_another_s(
         ego.propagate(stamp, IMU)
 
 
-def test_the_window_forgets_the_oldest_with_its_rows(ego: GivenPoses) -> None:
+def test_the_window_drops_the_oldest_with_its_rows(ego: GivenPoses) -> None:
     table = empty_table()
     for stamp in STAMPS.tolist():
         ego = ego.propagate(stamp, IMU)
         table = append_frame(table, seen(stamp))
-        ego, table = ego.update(table)
+        ego, table = ego.update(table, newest_history(table, ego.rig))
         ego, table = ego.marginalize(table)
     np.testing.assert_array_equal(ego.window().timestamp_ns, STAMPS[-4:])
     np.testing.assert_array_equal(table.frame_ns, STAMPS[-4:])

@@ -13,6 +13,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.types import FrontendFrame
+from ovmot.vio import msckf_features
 from ovmot.vio.msckf_features import (
     FeatureSystem,
     chi2_gate,
@@ -148,13 +149,16 @@ def test_views_are_linearised_in_the_picture_only(state: State, rig: StereoRig) 
     assert seen.seen[1:].all()
 
 
-def test_features_are_triangulated_in_world(state: State, rig: StereoRig) -> None:
+def test_features_are_triangulated_in_world(
+    state: State, rig: StereoRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     normalized = per_clone(state, rig, POINTS, "normalized")
     normalized[1, :, 2:] = np.nan
-    found = triangulate_features(state, rig, normalized, 1.0, (0.1, 50.0))
+    found = triangulate_features(state, rig, normalized, 1.0)
     assert found.valid.all()
     np.testing.assert_allclose(found.p_world, POINTS, atol=1e-5)
-    assert not triangulate_features(state, rig, normalized, 1.0, (0.1, 5.0)).valid.any()
+    monkeypatch.setattr(msckf_features, "DEPTH_RANGE_M", (0.1, 5.0))
+    assert not triangulate_features(state, rig, normalized, 1.0).valid.any()
 
 
 def random_system(rng: np.random.Generator, n_features: int, m: int, k: int) -> FeatureSystem:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from histories import newest_history
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, append_frame, empty_table, mark_dynamic, mark_outliers
@@ -53,12 +54,12 @@ def test_measurement_is_the_derivative_of_its_residual(
     make_state: Callable[..., State], central_differences: Derivative
 ) -> None:
     state = make_state(np.random.default_rng(2), 3)
-    H, columns, residual, variance = zero_velocity_measurement(state, SETTINGS)
+    H, columns, residual, variance = zero_velocity_measurement(state)
     n = len(state.covariance)
     H_full = np.zeros((len(residual), n))
     H_full[:, columns] = H
     expected = -central_differences(
-        lambda e: zero_velocity_measurement(box_plus(state, e), SETTINGS)[2], np.zeros(n)
+        lambda e: zero_velocity_measurement(box_plus(state, e))[2], np.zeros(n)
     )
     np.testing.assert_allclose(H_full, expected, atol=1e-7)
     assert (variance > 0.0).all()
@@ -77,19 +78,19 @@ def test_creeping_behind_cars_that_look_stationary_is_no_zero_velocity(
         imu=replace(resting.imu, velocity=velocity),
         clones=replace(resting.clones, T_world_imu=T),
     )
-    assert not prediction_is_stationary(creeping, SETTINGS)
+    assert not prediction_is_stationary(creeping)
 
 
 def test_turning_on_the_spot_is_no_zero_velocity(resting: State) -> None:
     T = resting.clones.T_world_imu.copy()
     T[1, :3, :3] = T[1, :3, :3] @ so3.exp(np.array([0.0, 0.0, 0.02]))
     turning = replace(resting, clones=replace(resting.clones, T_world_imu=T))
-    assert not prediction_is_stationary(turning, SETTINGS)
+    assert not prediction_is_stationary(turning)
 
 
 def test_the_prediction_needs_two_clones(resting: State) -> None:
-    assert prediction_is_stationary(resting, SETTINGS)
-    assert not prediction_is_stationary(marginalize_clone(resting, 0), SETTINGS)
+    assert prediction_is_stationary(resting)
+    assert not prediction_is_stationary(marginalize_clone(resting, 0))
 
 
 def test_update_removes_velocity_and_motion(resting: State) -> None:
@@ -102,10 +103,10 @@ def test_update_removes_velocity_and_motion(resting: State) -> None:
         clones=replace(resting.clones, T_world_imu=T),
         covariance=resting.covariance + 1e-3 * np.eye(len(resting.covariance)),
     )
-    updated = zero_velocity_update(moved, SETTINGS)
+    updated = zero_velocity_update(moved)
     before, after = (
-        zero_velocity_measurement(moved, SETTINGS)[2],
-        zero_velocity_measurement(updated, SETTINGS)[2],
+        zero_velocity_measurement(moved)[2],
+        zero_velocity_measurement(updated)[2],
     )
     assert np.abs(after[:3]).max() < 0.5 * np.abs(before[:3]).max()
     assert np.abs(after[3:6]).max() < 0.1 * np.abs(before[3:6]).max()
@@ -129,6 +130,10 @@ def watched(
     return build
 
 
+def looks_stationary(table: FeatureTable, rig: StereoRig, settings: ZeroVelocitySettings) -> bool:
+    return image_is_stationary(table, newest_history(table, rig), rig, settings)
+
+
 def test_share_counts_candidates_seen_in_both_frames() -> None:
     earlier = np.tile([100.0, 50.0], (40, 1))
     now = earlier.copy()
@@ -144,23 +149,23 @@ def test_share_counts_candidates_seen_in_both_frames() -> None:
 def test_a_stationary_rig_is_detected_and_a_creeping_one_is_not(
     watched: Callable[[float, float], FeatureTable], rig: StereoRig
 ) -> None:
-    assert image_is_stationary(watched(0.0, 1.0), rig, SETTINGS)
-    assert not image_is_stationary(watched(0.1, 1.0), rig, SETTINGS)
+    assert looks_stationary(watched(0.0, 1.0), rig, SETTINGS)
+    assert not looks_stationary(watched(0.1, 1.0), rig, SETTINGS)
 
 
 def test_points_that_look_stationary_do_not_hide_a_metric_motion(
     watched: Callable[[float, float], FeatureTable], rig: StereoRig
 ) -> None:
     lenient = SETTINGS.model_copy(update={"pixel": 100.0})
-    assert image_is_stationary(watched(0.0, 1.0), rig, lenient)
-    assert not image_is_stationary(watched(0.2, 1.0), rig, lenient)
+    assert looks_stationary(watched(0.0, 1.0), rig, lenient)
+    assert not looks_stationary(watched(0.2, 1.0), rig, lenient)
 
 
 def test_a_short_history_says_nothing(
     watched: Callable[[float, float], FeatureTable], rig: StereoRig
 ) -> None:
-    assert not image_is_stationary(watched(0.0, 0.2), rig, SETTINGS)
-    assert image_is_stationary(watched(0.0, 0.3), rig, SETTINGS)
+    assert not looks_stationary(watched(0.0, 0.2), rig, SETTINGS)
+    assert looks_stationary(watched(0.0, 0.3), rig, SETTINGS)
 
 
 def test_outliers_and_dynamic_features_have_no_say(
@@ -168,8 +173,8 @@ def test_outliers_and_dynamic_features_have_no_say(
 ) -> None:
     table = watched(0.0, 1.0)
     everyone = mark_dynamic(table, table.feature_id)
-    assert not image_is_stationary(everyone, rig, SETTINGS)
-    assert not image_is_stationary(replace(table, outlier=~table.outlier), rig, SETTINGS)
+    assert not looks_stationary(everyone, rig, SETTINGS)
+    assert not looks_stationary(replace(table, outlier=~table.outlier), rig, SETTINGS)
 
 
 Drive = Callable[[float, FloatArray, ImuNoise], list[MsckfFilter]]
@@ -216,7 +221,7 @@ def drive_forward(
             table = mark_outliers(
                 table, table.feature_id, np.isin(table.feature_id, np.flatnonzero(movers))
             )
-            ego, table = ego.update(table)
+            ego, table = ego.update(table, newest_history(table, rig))
             ego, table = ego.marginalize(table)
             buffer.drop_before(int(t[i]) - 1_000_000_000)
             out.append(ego)

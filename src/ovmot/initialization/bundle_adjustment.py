@@ -29,7 +29,7 @@ from ovmot.initialization.window import (
 )
 from ovmot.settings import FilterSettings
 from ovmot.types import FrontendFrame
-from ovmot.vio.msckf_features import Reprojection, reproject
+from ovmot.vio.msckf_features import DEPTH_RANGE_M, Reprojection, reproject
 from ovmot.vio.online_calibration import calibrated_rig
 
 _LOSS_SCALE = 1.5  # of the Geman-McClure loss, in units of the median error
@@ -125,7 +125,7 @@ def reproject_points(
     views = [camera.normalize(pixels[..., side]) for camera, _, side in cameras]
     triangulated = triangulate_many_views(
         np.concatenate(views, axis=1), T_views, settings.pixel_sigma / calibrated.cam0.fx,
-        depth_range=(settings.min_depth_m, settings.max_depth_m),
+        depth_range=DEPTH_RANGE_M,
     )  # fmt: skip
     p_world = triangulated.p_world[triangulated.valid]
     return reproject(

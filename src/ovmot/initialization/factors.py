@@ -21,8 +21,7 @@ from ovmot.initialization.window import (
     OFFSET,
     KeyframeWindow,
 )
-from ovmot.physics import GYRO_BIAS_SIGMA_RPS
-from ovmot.settings import ZeroVelocitySettings
+from ovmot.physics import GYRO_BIAS_SIGMA_RPS, REST_SPEED_MPS, REST_STEP_M, REST_TURN_RAD
 from ovmot.types import ImuData, ImuNoise
 from ovmot.vio.integrators import Integrator
 from ovmot.vio.propagation import Propagation, propagate_imu
@@ -110,14 +109,14 @@ def _interval_factor(
     return r, J
 
 
-def zero_velocity_factor(window: KeyframeWindow, settings: ZeroVelocitySettings) -> Factor:
+def zero_velocity_factor(window: KeyframeWindow) -> Factor:
     """9 rows for each keyframe of a stationary rig: zero velocity, the pose of the one before.
 
     With the standard deviations of the filter's zero-velocity update.
     """
     T, n = window.T_world_imu, len(window)
-    velocity_sigma = settings.velocity_sigma_mps
-    sigma = np.repeat([settings.rotation_sigma_rad, settings.position_sigma_m], 3)
+    velocity_sigma = REST_SPEED_MPS
+    sigma = np.repeat([REST_TURN_RAD, REST_STEP_M], 3)
     r, J = np.zeros((n, KEYFRAME_SIZE)), np.zeros((n, KEYFRAME_SIZE, window.size))
     for k in range(n):
         now = J[k, :, window.columns(k)]

@@ -99,7 +99,9 @@ class FilterInitializer:
         begin = min(begin, self.imu_time_ns(frames[0].timestamp_ns))
         samples = imu.between(begin, now)
         gravity = self.settings.filter.gravity_mps2
-        solution = static_initialization(frames, samples, self.rig, settings, gravity)
+        solution = static_initialization(
+            frames, samples, self.rig, settings, gravity, self.settings.zero_velocity.pixel
+        )
         state = solution.state
         keyframes = [frames[k] for k in self._keyframes(frames)]
         stamps = [self.imu_time_ns(f.timestamp_ns) for f in keyframes]
@@ -195,7 +197,7 @@ class FilterInitializer:
                 prior_factor(at, accel_bias_sigma, sigma_s, variance),
             ]
             if guess.stationary:
-                out.append(zero_velocity_factor(at, settings.zero_velocity))
+                out.append(zero_velocity_factor(at))
             return out
 
         pixels = keyframe_pixels(guess.frames, feature_id)

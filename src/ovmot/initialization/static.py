@@ -50,14 +50,15 @@ def static_initialization(
     rig: StereoRig,
     settings: InitializationSettings,
     gravity: float,
+    max_pixels: float,
 ) -> StaticSolution:
     """The state of a rig that is stationary over the frames and the IMU samples.
 
-    `gravity`: its magnitude, m/s². Raises `InitializationError` where IMU or images say that the
-    rig moves.
+    `gravity`: its magnitude, m/s²; `max_pixels`: by how much a stationary point may move. Raises
+    `InitializationError` where IMU or images say that the rig moves.
     """
     check_imu_is_stationary(imu, settings, gravity)
-    points = stationary_points(frames, rig, settings.rest_pixel)
+    points = stationary_points(frames, rig, max_pixels)
     check_images_are_stationary(points, settings)
     return StaticSolution(stationary_state(imu), points.feature_id)
 

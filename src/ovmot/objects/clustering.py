@@ -7,24 +7,30 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.clustering_kernel import components_compiled
-from ovmot.physics import ACCEL_SIGMA_MPS2, MAX_VEHICLE_SIZE_M, TURN_SPREAD_MPS, gate, gates
+from ovmot.physics import (
+    ACCEL_SIGMA_MPS2,
+    MAX_VEHICLE_SIZE_M,
+    TURN_SPREAD_MPS,
+    VARIANCE_FACTOR,
+    gate,
+    gates,
+)
 from ovmot.segmentation.history_kernel import (
     distance_from_static_compiled,
     fit_velocities_compiled,
     weigh_compiled,
 )
-from ovmot.segmentation.motion_tests import SHARED_NOISE
 from ovmot.segmentation.static_comparison import (
     StaticComparison,
     compare_with_static,
     static_motion,
 )
-from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -32,6 +38,7 @@ _SPREAD_SHARE = 0.05  # of the speed, by which points of one body may differ
 _REACH_SIGMAS = 2.0  # of the position, on top of the radius and of a gap
 _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
+NEIGHBOUR_RADIUS_M = 1.8  # points of one body have a neighbour within this
 _MAX_POINTS = 240  # that are looked at in a frame; those tracked longest come first
 _POINTS_PER_TRACK = 40  # of these, points of one track
 _NEIGHBOURS = 5  # two linked points are among each other's so many nearest ones
@@ -146,7 +153,7 @@ def _fit(comparison: StaticComparison) -> tuple[FloatArray, FloatArray, BoolArra
     velocity, covariance, cost = fit_velocities_compiled(
         comparison.residual, J, comparison.S_motion, J, slack, span_s, tested
     )
-    steady = cost < SHARED_NOISE * gates(np.maximum(4 * tested.sum(0) - 3, 1), 0.999)
+    steady = cost < VARIANCE_FACTOR * gates(np.maximum(4 * tested.sum(0) - 3, 1), 0.999)
     return velocity, covariance, steady
 
 
@@ -168,8 +175,8 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
     and together are no wider than a body are merged. Points of different tracks are never linked:
     walkers side by side stay two.
     """
-    scaled = _depth_scaled(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
-    pairs = _neighbour_pairs(scaled, settings.neighbour_radius_m)
+    scaled = _depth_scaled(points.p_cam0, points.cov_cam0, NEIGHBOUR_RADIUS_M)
+    pairs = _neighbour_pairs(scaled, NEIGHBOUR_RADIUS_M)
     pairs = pairs[_same_velocity(points, pairs) & _compatible_pairs(points.track_id[pairs])]
     component = components_compiled(pairs, len(points.feature_id))
     distance = cdist(scaled, scaled)
@@ -233,7 +240,7 @@ def _are_one_body(
     if not compatible_tracks(track_id, other):
         return False
     same_track = track_id == other >= 0  # the far end of a lorry
-    reach = settings.neighbour_radius_m * (_KNOWN_REACH if same_track else 1.0)
+    reach = NEIGHBOUR_RADIUS_M * (_KNOWN_REACH if same_track else 1.0)
     if distance[group[:, None], part].min() > reach:
         return False
     v_group, v_part = (_median(points.velocity[index]) for index in (group, part))

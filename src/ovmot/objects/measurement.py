@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.clustering import (
+    NEIGHBOUR_RADIUS_M,
     MotionHistory,
     compatible_tracks,
     group_points,
@@ -20,7 +22,6 @@ from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
 from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion, known_part
 from ovmot.physics import MAX_VEHICLE_SIZE_M, gates
-from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PoseWindow, ScenePoints
 
@@ -346,6 +347,6 @@ def _without_parts(bodies: list[_Body], settings: ObjectSettings) -> tuple[Objec
 def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings) -> bool:
     distance = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
     C = body.covariance + larger.covariance
-    reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
+    reach = NEIGHBOUR_RADIUS_M + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
     same = same_body_velocity(body.velocity, larger.velocity, C[3:, 3:], 0.95)
     return bool(distance < reach and same)

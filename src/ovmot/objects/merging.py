@@ -11,6 +11,7 @@ from ovmot.objects.track_box import centre_distances
 from ovmot.physics import CAR_SIZE_M, MAX_VEHICLE_SIZE_M, gate
 from ovmot.settings import ObjectTrackSettings
 
+_MERGE_FRAMES = 3  # in a row after which a track that lies on an older one ends
 _SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
 _FEW_OF_MANY = 0.1
 _GAP_M = 2.5  # without features, between two ends of a lorry
@@ -33,8 +34,8 @@ def merge_duplicates(tracks: Sequence[Track], settings: ObjectTrackSettings) -> 
             part = new and any(_may_be_part_of(track, other) for other in out)
             state = TrackState.TENTATIVE if part else track.state
             out.append(replace(track, state=state, overlaps=max(track.overlaps - 1, 0)))
-        elif track.overlaps + 1 < settings.merge_frames:
-            young = track.hits <= settings.confirm_hits + settings.merge_frames
+        elif track.overlaps + 1 < _MERGE_FRAMES:
+            young = track.hits <= settings.confirm_hits + _MERGE_FRAMES
             state = TrackState.TENTATIVE if young else track.state
             out.append(replace(track, state=state, overlaps=track.overlaps + 1))
         else:

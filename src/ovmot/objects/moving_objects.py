@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
 from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
-from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import Settings
 from ovmot.types import ObjectTrack, PointLabel, PoseWindow, ScenePoints
 

@@ -10,15 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.physics import ACCEL_SIGMA_MPS2, gate, gates
+from ovmot.physics import ACCEL_SIGMA_MPS2, VARIANCE_FACTOR, gate, gates
 from ovmot.segmentation.history_kernel import fit_velocities_compiled
 from ovmot.segmentation.neighbour_consensus import neighbours_with_same_velocity
 from ovmot.segmentation.static_comparison import StaticComparison
 from ovmot.settings import SegmentationSettings
 
-SHARED_NOISE = 2.0
-"""By how much the squared residuals of a fit over several times may exceed chi-squared: all times
-share the present pair's pixels, so that their errors are not independent."""
 _MIN_CONSENSUS = 2
 """Neighbours that must move alike where a point's own case is weak or rests on one comparison."""
 
@@ -109,7 +106,7 @@ def examine_static(comparison: StaticComparison, settings: SegmentationSettings)
         comparison.span_s, tested,
     )  # fmt: skip
     rows = tested.sum(0)
-    explained = cost < SHARED_NOISE * gates(np.maximum(4 * rows - 3, 1), 0.999)
+    explained = cost < VARIANCE_FACTOR * gates(np.maximum(4 * rows - 3, 1), 0.999)
     return StaticTest(distance, rows, velocity, covariance, explained)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.physics import CAR_SIZE_M, SPEED_SPREAD_MPS, gate
+from ovmot.physics import CAR_SIZE_M, TURN_SPREAD_MPS, gate
 
 _MAX_NEIGHBOURS = 10
 
@@ -38,7 +38,7 @@ def neighbours_with_same_velocity(
     a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
     b = other[:, 1:][a, slot]
     dv = velocity[index[a]] - velocity[index[b]]
-    C = covariance[index[a]] + covariance[index[b]] + SPEED_SPREAD_MPS**2 * np.eye(3)
+    C = covariance[index[a]] + covariance[index[b]] + TURN_SPREAD_MPS**2 * np.eye(3)
     agrees = (dv * np.linalg.solve(C, dv[..., None])[..., 0]).sum(-1) < gate(3, 0.99)
     alike[index[a[agrees]], index[b[agrees]]] = True
     return alike

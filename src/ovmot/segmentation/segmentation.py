@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable
+from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.physics import WALKER_MPS
 from ovmot.segmentation.motion_tests import MOTION_TESTS, Evidence, Verdict
 from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
-from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import SegmentationSettings
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.segmentation.history_kernel import compare_points_compiled
-from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.types import PoseWindow
 
 

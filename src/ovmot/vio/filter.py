@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable, keep_window, share_clone
+from ovmot.feature_table import FeatureTable, StereoHistory, keep_window, share_clone
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.physics import FRAME_JITTER
@@ -81,14 +81,16 @@ class MsckfFilter:
         )
         return propagate(self.state, result, end_ns), result.angular_velocity
 
-    def update(self, table: FeatureTable) -> tuple["MsckfFilter", FeatureTable]:
+    def update(
+        self, table: FeatureTable, history: StereoHistory
+    ) -> tuple["MsckfFilter", FeatureTable]:
         """Zero-velocity update where the rig is stationary, then the visual update."""
         state, zero_velocity = self.state, self.settings.zero_velocity
         stationary = zero_velocity.enabled and zero_velocity_detected(
-            state, table, self.rig, zero_velocity
+            state, table, history, self.rig, zero_velocity
         )
         if stationary:
-            state = zero_velocity_update(state, zero_velocity)
+            state = zero_velocity_update(state)
         oldest_is_marginalized = self._clone_to_marginalize(stationary) == 0
         state, table = update_with_features(
             state, table, self.rig, self.settings.filter,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import DatasetError
-from ovmot.feature_table import FeatureTable, empty_table, keep_window
+from ovmot.feature_table import FeatureTable, StereoHistory, empty_table, keep_window
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.settings import GivenEgoSettings
@@ -43,7 +43,9 @@ class GivenPoses:
             raise DatasetError(f"no pose is given for the frame at {frame_ns} ns")
         return replace(self, window_ns=(*self.window_ns, frame_ns))
 
-    def update(self, table: FeatureTable) -> tuple["GivenPoses", FeatureTable]:
+    def update(
+        self, table: FeatureTable, history: StereoHistory
+    ) -> tuple["GivenPoses", FeatureTable]:
         """No update: the poses are given."""
         return self, table
 

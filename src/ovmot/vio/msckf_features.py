@@ -25,6 +25,10 @@ from ovmot.vio.state import Clones, State
 _IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
 
+DEPTH_RANGE_M = (0.1, 150.0)
+"""Triangulated points nearer or farther are not used: beyond, a window's parallax is noise."""
+
+
 @dataclass(frozen=True, slots=True)
 class Reprojection:
     """Reprojection errors of F features seen from K clones, and the Jacobians of the prediction.
@@ -90,12 +94,11 @@ def triangulate_features(
     rig: StereoRig,
     normalized: FloatArray,
     sigma_px: float,
-    depth_range: tuple[float, float],
 ) -> ManyViewPoints:
     """Points (F, 3) in world of features seen as `normalized` (F, K, 4) from the state's K clones.
 
-    `rig`: as calibrated now; `sigma_px`: standard deviation of a pixel coordinate; `depth_range`:
-    least and greatest depth in m.
+    `rig`: as calibrated now; `sigma_px`: standard deviation of a pixel coordinate. Points whose
+    depth is not in `DEPTH_RANGE_M` are not valid.
     """
     n_features, n_clones, _ = normalized.shape
     T_imu_world = se3.inverse(state.clones.T_world_imu)
@@ -103,7 +106,7 @@ def triangulate_features(
         [se3.inverse(rig.T_imu_cam0) @ T_imu_world, se3.inverse(rig.T_imu_cam1) @ T_imu_world], 1
     ).reshape(2 * n_clones, 4, 4)
     views = normalized.reshape(n_features, 2 * n_clones, 2)
-    return triangulate_many_views(views, T_views, sigma_px / rig.cam0.fx, depth_range=depth_range)
+    return triangulate_many_views(views, T_views, sigma_px / rig.cam0.fx, depth_range=DEPTH_RANGE_M)
 
 
 def reproject(

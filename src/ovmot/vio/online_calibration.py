@@ -30,6 +30,16 @@ _COORDINATES = {
 }
 
 
+_PRIOR_SIGMAS = {
+    "distortion": 0.005,
+    GYRO_MATRIX: 0.005,
+    ACCEL_MATRIX: 0.005,
+    G_SENSITIVITY: 0.001,
+}
+"""Prior standard deviations: a distortion coefficient; half a percent of scale and misalignment, as
+data sheets of MEMS units have it; g-sensitivity in rad/s per m/s²."""
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationPart:
     """One part: its name, and its columns among the coordinates of the whole calibration."""
@@ -94,14 +104,14 @@ def make_calibration(
         sigmas += [(name, pose) for name in CAMERA_POSES]
     if settings.intrinsics:
         for name, camera in zip(CAMERA_INTRINSICS, rig.cameras, strict=True):
-            pixels = [settings.focal_sigma_px] * 2 + [settings.center_sigma_px] * 2
-            distortion = [settings.distortion_sigma] * len(camera.distortion)
+            pixels = [settings.focal_sigma_px] * _FOCAL_AND_CENTER
+            distortion = [_PRIOR_SIGMAS["distortion"]] * len(camera.distortion)
             sigmas.append((name, np.array([*pixels, *distortion])))
     if settings.imu_intrinsics:
-        sigmas.append((GYRO_MATRIX, np.full(9, settings.imu_matrix_sigma)))
-        sigmas.append((ACCEL_MATRIX, np.full(6, settings.imu_matrix_sigma)))
+        sigmas.append((GYRO_MATRIX, np.full(9, _PRIOR_SIGMAS[GYRO_MATRIX])))
+        sigmas.append((ACCEL_MATRIX, np.full(6, _PRIOR_SIGMAS[ACCEL_MATRIX])))
     if settings.g_sensitivity:
-        sigmas.append((G_SENSITIVITY, np.full(9, settings.g_sensitivity_sigma)))
+        sigmas.append((G_SENSITIVITY, np.full(9, _PRIOR_SIGMAS[G_SENSITIVITY])))
     parts, start = [], 0
     for name, sigma in sigmas:
         parts.append(CalibrationPart(name, slice(start, start + len(sigma))))

@@ -164,8 +164,7 @@ def _linearized_features(
     """Measurements and world points (T, 3) of the features that could be triangulated, and which
     (F,) these are."""
     sigma = settings.pixel_sigma
-    depth_range = (settings.min_depth_m, settings.max_depth_m)
-    points = triangulate_features(state, rig, rig.normalize(pixels), sigma, depth_range)
+    points = triangulate_features(state, rig, rig.normalize(pixels), sigma)
     valid = points.valid
     system = linearize(state, rig, pixels[valid], points.p_world[valid], sigma)
     return system, points.p_world[valid], valid

@@ -8,13 +8,16 @@ to the next a creeping rig moves less than a match is accurate.
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.feature_table import FeatureTable
+from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.stereo_motion import MIN_POINTS, motion_is_significant, solve_stereo_motion
 from ovmot.physics import (
     FRAME_JITTER,
     REST_SHIFT_M,
+    REST_SPEED_MPS,
+    REST_STEP_M,
+    REST_TURN_RAD,
     VARIANCE_FACTOR,
     gate,
     tracked_pixel_sigma,
@@ -24,35 +27,40 @@ from ovmot.types import tracked_pixels
 from ovmot.vio.state import VELOCITY, State
 from ovmot.vio.update import ekf_update, innovation_distance
 
+LOOK_BACK_S = 0.5
+"""In this time a creep of some centimetres a second moves near points by more than their noise."""
+
 
 def zero_velocity_detected(
-    state: State, table: FeatureTable, rig: StereoRig, settings: ZeroVelocitySettings
+    state: State,
+    table: FeatureTable,
+    history: StereoHistory,
+    rig: StereoRig,
+    settings: ZeroVelocitySettings,
 ) -> bool:
     """Do the images and the prediction both allow that the rig is stationary?"""
-    return image_is_stationary(table, rig, settings) and prediction_is_stationary(state, settings)
+    return image_is_stationary(table, history, rig, settings) and prediction_is_stationary(state)
 
 
 def image_is_stationary(
-    table: FeatureTable, rig: StereoRig, settings: ZeroVelocitySettings
+    table: FeatureTable, history: StereoHistory, rig: StereoRig, settings: ZeroVelocitySettings
 ) -> bool:
-    """Do most points of the newest row keep their place, and is their stereo motion zero?
+    """Do most points of the newest frame keep their place, and is their stereo motion zero?
 
-    The newest row is compared with the oldest one that is at most `look_back_s` old; False while
-    there is none at least half as old. Outliers and dynamic features are left out.
+    `history` is that of the table's newest frame. Compared is the oldest frame of it that is at
+    most `LOOK_BACK_S` old; False while there is none at least half as old. Outliers and dynamic
+    features are left out.
     """
-    if table.shape[0] < 2:
+    recent = np.flatnonzero(history.span_s <= LOOK_BACK_S * (1.0 + FRAME_JITTER))
+    if len(recent) == 0 or history.span_s[recent[0]] < 0.5 * LOOK_BACK_S:
         return False
-    age = (table.frame_ns[-1] - table.frame_ns) * 1e-9
-    row = int(np.flatnonzero(age <= settings.look_back_s * (1.0 + FRAME_JITTER))[0])
-    if age[row] < 0.5 * settings.look_back_s:
+    k, column = int(recent[0]), table.columns(history.feature_id)
+    candidates = ~table.outlier[column] & ~table.dynamic[column]
+    now = tracked_pixels(table.pixels[-1, column])
+    then = tracked_pixels(table.pixels[history.row[k], column])
+    if stationary_share(now, then, candidates, settings.pixel) < settings.still_share:
         return False
-    candidates = ~table.outlier & ~table.dynamic
-    now, then = tracked_pixels(table.pixels[-1]), tracked_pixels(table.pixels[row])
-    share = stationary_share(now, then, candidates, settings.pixel)
-    if share < settings.still_share:
-        return False
-    before, latest = table.normalized[row, candidates], table.normalized[-1, candidates]
-    return not _has_moved(before, latest, table.shape[0] - 1 - row, rig, settings)
+    return not _has_moved(history.only(np.flatnonzero(candidates)), k, rig)
 
 
 def stationary_share(
@@ -69,22 +77,22 @@ def stationary_share(
     return float((distance < max_pixels).mean())
 
 
-def prediction_is_stationary(state: State, settings: ZeroVelocitySettings) -> bool:
+def prediction_is_stationary(state: State) -> bool:
     """Is a zero velocity since the last clone within the gate of what the filter has predicted?"""
     if len(state.clones) < 2:
         return False
-    H, columns, residual, variance = zero_velocity_measurement(state, settings)
+    H, columns, residual, variance = zero_velocity_measurement(state)
     distance = innovation_distance(state, H, columns, residual, variance)
     return distance < VARIANCE_FACTOR * gate(len(residual), 0.999)
 
 
-def zero_velocity_update(state: State, settings: ZeroVelocitySettings) -> State:
+def zero_velocity_update(state: State) -> State:
     """The state updated by zero velocity, and zero motion between its two newest clones."""
-    return ekf_update(state, *zero_velocity_measurement(state, settings))
+    return ekf_update(state, *zero_velocity_measurement(state))
 
 
 def zero_velocity_measurement(
-    state: State, settings: ZeroVelocitySettings
+    state: State,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
     """H (9, 15), columns (15,), residual (9,) and variance (9,) of a stationary rig.
 
@@ -106,33 +114,23 @@ def zero_velocity_measurement(
     H[6:9, 12:15] = np.eye(3)
     H[6:9, 6:9] = -np.eye(3)
     residual = -np.concatenate([state.imu.velocity, phi, T_now[:3, 3] - T_before[:3, 3]])
-    sigma = np.repeat(
-        [settings.velocity_sigma_mps, settings.rotation_sigma_rad, settings.position_sigma_m], 3
-    )
+    sigma = np.repeat([REST_SPEED_MPS, REST_TURN_RAD, REST_STEP_M], 3)
     return H, columns, residual, sigma**2
 
 
-def _has_moved(
-    before: FloatArray,
-    now: FloatArray,
-    n_frames: int,
-    rig: StereoRig,
-    settings: ZeroVelocitySettings,
-    *,
-    max_points: int = 60,
-) -> bool:
-    """Is there a translation of the left camera beyond its own uncertainty and a centimetre?
+def _has_moved(history: StereoHistory, k: int, rig: StereoRig, *, max_points: int = 60) -> bool:
+    """Is there a translation since time `k` of the history beyond its uncertainty and a centimetre?
 
-    `before`, `now` (N, 4): normalized stereo coordinates, `n_frames` apart. Of a stationary rig
-    the rotation is known; the `max_points` nearest points tell the translation best.
+    Of a stationary rig the rotation is known; the `max_points` nearest points tell the translation
+    best.
     """
-    disparity = np.nan_to_num(before[:, 0] - before[:, 2])
-    nearest = np.argsort(-disparity, kind="stable")[:max_points]
-    sigma = rig.normalized_sigma(tracked_pixel_sigma(n_frames))
-    rotation_sigma = settings.rotation_sigma_rad * np.sqrt(n_frames)
+    disparity = np.nan_to_num(history.then[k, :, 0] - history.then[k, :, 2])
+    nearest = history.only(np.argsort(-disparity, kind="stable")[:max_points])
+    n_frames = int(history.n_frames[k])
     motion = solve_stereo_motion(
-        before[nearest], now[nearest], rig.T_cam1_cam0, np.eye(3), sigma, rotation_sigma
-    )
+        nearest.then[k], nearest.now, rig.T_cam1_cam0, np.eye(3),
+        rig.normalized_sigma(tracked_pixel_sigma(n_frames)), REST_TURN_RAD * np.sqrt(n_frames),
+    )  # fmt: skip
     if motion is None:
         return False  # too few stereo points to say
     return motion_is_significant(motion, REST_SHIFT_M)
