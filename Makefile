@@ -68,7 +68,7 @@ test-portable: install ## run the numerical tests as other processors compute (P
 	$(BIN)/python tests/other_processors.py --processors "$(PROCESSORS)" $(PYTEST_FLAGS)
 
 test-ros: install-ros ## test the live node with a real ROS 1 master (docs/ros.md)
-	OVMOT_TEST_ROS=1 $(BIN)/python -m pytest -n 0 -s tests/ros/test_live_ros1.py
+	OVMOT_TEST_ROS=1 $(BIN)/python -m pytest -n 0 -s tests/ros/test_ros1_node.py
 
 check: install ## lint, format, types, layers
 	$(BIN)/ruff check

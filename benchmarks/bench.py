@@ -16,12 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ovmot.datasets import RecordedSequence, events, open_sequence
-from ovmot.errors import InputError
-from ovmot.odometry import Odometry
-from ovmot.runtime import prepare_process
-from ovmot.settings import Settings
-from ovmot.types import Event, StereoFrame
+import ovmot
 
 DEFAULT_SEQUENCES = ("euroc_mh01", "street_traffic")
 
@@ -29,12 +24,12 @@ DEFAULT_SEQUENCES = ("euroc_mh01", "street_traffic")
 def main() -> None:
     """Measure and print one table."""
     arguments = parse_arguments()
-    prepare_process()
+    ovmot.prepare_process()
     table = Table(title="milliseconds a frame (median run)")
     for column in ("sequence", "image", "frames", "decode", "stages", "all stages", "frames/s"):
         table.add_column(column)
     for folder in arguments.folders:
-        table.add_row(*measure(open_sequence(folder), arguments.runs))
+        table.add_row(*measure(ovmot.open(folder), arguments.runs))
     Console().print(table)
 
 
@@ -53,12 +48,12 @@ def parse_arguments() -> argparse.Namespace:
     return arguments
 
 
-def measure(sequence: RecordedSequence, runs: int) -> tuple[str, ...]:
+def measure(sequence: ovmot.RecordedSequence, runs: int) -> tuple[str, ...]:
     """One row of the table."""
     decoding = time.perf_counter()
-    stream = list(events(sequence))
+    stream = list(sequence)
     decoding = time.perf_counter() - decoding
-    frames = sum(isinstance(event, StereoFrame) for event in stream)
+    frames = sum(isinstance(event, ovmot.StereoFrame) for event in stream)
     results = sorted((run_once(sequence, stream) for _ in range(runs)), key=lambda r: r[0])
     seconds, stages = results[len(results) // 2]
     camera = sequence.rig.cam0
@@ -74,10 +69,11 @@ def measure(sequence: RecordedSequence, runs: int) -> tuple[str, ...]:
     )
 
 
-def run_once(sequence: RecordedSequence, stream: list[Event]) -> tuple[float, dict[str, float]]:
+def run_once(
+    sequence: ovmot.RecordedSequence, stream: list[ovmot.Event]
+) -> tuple[float, dict[str, float]]:
     """Wall seconds of feeding everything, and the mean milliseconds of each stage."""
-    settings = Settings()
-    odometry = Odometry(sequence.rig, sequence.imu_noise, settings)
+    odometry = ovmot.Odometry(sequence.rig, sequence.imu_noise)
     spent: dict[str, list[float]] = {}
     begin = time.perf_counter()
     for event in stream:
@@ -87,7 +83,7 @@ def run_once(sequence: RecordedSequence, stream: list[Event]) -> tuple[float, di
     seconds = time.perf_counter() - begin
     odometry.finish()
     if not spent:
-        raise InputError(f"{sequence.root}: never started: {odometry.not_started_because}")
+        raise ovmot.InputError(f"{sequence.root}: never started: {odometry.not_started_because}")
     n_results = max(len(values) for values in spent.values())
     return seconds, {name: float(np.sum(v)) / n_results for name, v in spent.items()}
 

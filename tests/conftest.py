@@ -133,7 +133,7 @@ def painted_pair() -> Callable[..., StereoFrame]:
 
     Upper half: a wall 8 m away, lower half: one 5 m away. A body 6 m away covers 80x80 pixels of
     the middle. Camera and body move along the world's y (to the left), metres; rotation is zero,
-    so every picture is exact up to interpolation. `lift_right` shifts a box of the right picture
+    so every image is exact up to interpolation. `lift_right` shifts a box of the right image
     (columns 200 to 280) up by that many pixels: matches there break the epipolar constraint.
     """
     rng = np.random.default_rng(5)

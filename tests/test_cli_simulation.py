@@ -46,9 +46,9 @@ def test_simulate_run_evaluate(ovmot_command: Command, tmp_path: Path, form: str
         assert name in metrics
         assert name in told.out
     for name in ("ego_error.png", "nees.png", "map.png"):
-        picture = cv2.imread(str(out / name))
-        assert picture is not None
-        assert picture.std() > 5.0
+        image = cv2.imread(str(out / name))
+        assert image is not None
+        assert image.std() > 5.0
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_a_batch_says_which_run_failed(ovmot_command: Command, tmp_path: Path) -
         (["--scene", "lunar"], "lunar: neither a scene of the catalog nor a file"),
         (["--scene", "nowhere.yaml"], "nowhere.yaml"),
         (["--path", "fly"], "fly"),
-        (["--format", "bag"], "--format bag: unknown; choose one of kaist, asl"),
+        (["--format", "bag"], "--format bag: unknown; choose one of asl, kaist"),
         (["--size", "640"], "--size 640: is no size; write WIDTHxHEIGHT, as in 640x280"),
         (["--size", "640x481"], "640x481"),
         (["--rate", "0"], "rate"),

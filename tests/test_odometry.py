@@ -1,4 +1,4 @@
-"""The pipeline on painted pictures: order of events, the filter, given poses, refused matches."""
+"""The pipeline on painted images: order of events, the filter, given poses, refused matches."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -44,8 +44,8 @@ REST_S = 0.7
 SETTINGS = Settings.model_validate(
     {
         "tracker": {
-            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
-            "grid_cell_px": 64, "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+            "max_features": 120, "fine_columns": 16, "fast_threshold": 12,
+            "equalization": "none", "klt_window_px": 13, "klt_levels": 5,
         },
         "epipolar": {"threshold_px": 1.5, "scale": "angle"},
         "filter": {
@@ -336,7 +336,7 @@ def spy(monkeypatch: pytest.MonkeyPatch) -> UpdateSpy:
 def test_a_refused_right_observation_never_reaches_the_filter(
     painted_rig: StereoRig, painted_pair: Pair, spy: UpdateSpy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Part of the right picture stands 6 px too high: its matches break the epipolar constraint.
+    """Part of the right image stands 6 px too high: its matches break the epipolar constraint.
 
     None of them is in a result, in the track table or in what the filter is given, in no frame;
     their left halves are.

@@ -28,8 +28,8 @@ from ovmot.types import Event, FrameResult
 SETTINGS = Settings.model_validate(
     {
         "tracker": {
-            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
-            "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+            "max_features": 120, "fine_columns": 16, "fast_threshold": 12,
+            "equalization": "none", "klt_window_px": 13, "klt_levels": 5,
         },
         "initialization": {"window_s": 0.5},
         "noise": {"pixel_sigma": 0.3},
@@ -162,9 +162,9 @@ def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
 
 def test_a_dark_right_camera_is_said(painted_euroc: Path, tmp_path: Path) -> None:
     for path in (painted_euroc / "mav0" / "cam1" / "data").iterdir():
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        assert picture is not None
-        cv2.imwrite(str(path), np.zeros_like(picture))
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(path), np.zeros_like(image))
     told = run(painted_euroc, tmp_path / "out")
     written = told["counts"]["frames_written"]
     assert written > 0
@@ -255,13 +255,13 @@ def test_a_run_that_never_starts_fails_and_says_why(painted_euroc: Path, tmp_pat
 
 
 def test_what_the_segmentation_shows_is_masked(painted_euroc: Path, tmp_path: Path) -> None:
-    """Id 5 is the upper half of the left pictures: no point comes from there."""
+    """Id 5 is the upper half of the left images: no point comes from there."""
     mav, out = painted_euroc / "mav0", tmp_path / "out"
-    picture = np.zeros((240, 320), dtype=np.uint8)
-    picture[:120] = 5
+    image = np.zeros((240, 320), dtype=np.uint8)
+    image[:120] = 5
     (mav / "cam0" / "segmentation").mkdir()
     for stamp in STAMPS:
-        cv2.imwrite(str(mav / "cam0" / "segmentation" / f"{stamp}.png"), picture)
+        cv2.imwrite(str(mav / "cam0" / "segmentation" / f"{stamp}.png"), image)
     masked = SETTINGS.model_copy(update={"masks": MaskSettings(segmentation_ids=(5,))})
     run(painted_euroc, out, masked, save_points=True)
     rows = np.genfromtxt(out / "points.csv", delimiter=",", names=True)
@@ -271,9 +271,9 @@ def test_what_the_segmentation_shows_is_masked(painted_euroc: Path, tmp_path: Pa
     assert np.genfromtxt(out / "points.csv", delimiter=",", names=True)["v"].min() < 60.0
 
 
-def test_masks_of_ids_need_segmentation_pictures(painted_euroc: Path, tmp_path: Path) -> None:
+def test_masks_of_ids_need_segmentation_images(painted_euroc: Path, tmp_path: Path) -> None:
     masked = SETTINGS.model_copy(update={"masks": MaskSettings(segmentation_ids=(5,))})
-    with pytest.raises(InputError, match=r"painted: has no segmentation pictures; leave out masks"):
+    with pytest.raises(InputError, match=r"painted: has no instance images; leave out masks"):
         run(painted_euroc, tmp_path / "out", masked)
     assert not (tmp_path / "out").exists()
 

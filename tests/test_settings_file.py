@@ -1,12 +1,13 @@
 """Settings from files and overrides, and one clear line for every mistake."""
 
+import re
 from pathlib import Path
 
 import pytest
 
-from ovmot.errors import InputError
-from ovmot.settings import Settings
-from ovmot.settings_file import load_settings
+from ovmot.errors import InputError, SettingsWarning
+from ovmot.settings import Settings, describe_settings
+from ovmot.settings_file import REMOVED, RENAMED, load_settings
 
 
 def written(folder: Path, text: str) -> Path:
@@ -63,7 +64,7 @@ def test_an_override_takes_numbers_with_exponents_and_none() -> None:
         ("tracker: {max_features: 2}\n", ["'tracker.max_features'", "20", "got 2"]),
         ("tracker: {klt_levels: true}\n", ["'tracker.klt_levels'", "True"]),
         ("imu: {gyro_noise: 1.0e+9}\n", ["'imu.gyro_noise'", "less than 100"]),
-        ("imu: {fallback: [1, 1, 0, 1]}\n", ["'imu.fallback'", "greater than 0"]),
+        ("imu: {accel_walk: 0}\n", ["'imu.accel_walk'", "greater than 0"]),
         ("tracker: 7\n", ["'tracker'", "got 7"]),
         ("epipolar: {scale: fx}\n", ["'epipolar.scale'", "'angle'", "'fy'"]),
         ("epipolar: {threshold_px: .nan}\n", ["'epipolar.threshold_px'", "nan"]),
@@ -121,3 +122,39 @@ def test_an_override_of_a_section_that_the_file_filled_with_a_number(tmp_path: P
 def test_a_wrong_override_is_named_beside_the_file(tmp_path: Path) -> None:
     path = written(tmp_path, "tracker: {klt_levels: 3}\n")
     assert message_of(path, "tracker.nope=3").startswith(f"{path}, --set tracker.nope=3: ")
+
+
+@pytest.mark.parametrize(
+    ("old", "key", "value"),
+    [
+        ("split.false_alarm=1e-3", "segmentation.false_alarm", 1e-3),
+        ("split.pixel_sigma=0.5", "noise.pixel_sigma", 0.5),
+        ("objects.slide_per_hop_px=0.2", "noise.drift_per_frame_px", 0.2),
+        ("initialization.rest_pixel=0.6", "zero_velocity.pixel", 0.6),
+    ],
+)
+def test_an_old_key_is_taken_and_the_new_one_named(old: str, key: str, value: float) -> None:
+    with pytest.warns(SettingsWarning, match=f"is called '{key.split('.', maxsplit=1)[0]}"):
+        settings = load_settings(None, [old])
+    section, name = key.split(".")
+    assert getattr(getattr(settings, section), name) == value
+
+
+def test_a_new_key_wins_over_its_old_name() -> None:
+    with pytest.warns(SettingsWarning):
+        settings = load_settings(None, ["objects.pixel_sigma=0.5", "noise.pixel_sigma=0.6"])
+    assert settings.noise.pixel_sigma == 0.6
+
+
+@pytest.mark.parametrize("key", sorted(REMOVED))
+def test_a_removed_key_is_passed_over_with_what_takes_its_place(key: str) -> None:
+    with pytest.warns(SettingsWarning, match=re.escape(REMOVED[key])):
+        settings = load_settings(None, [f"{key}=1"])
+    assert settings == Settings()
+
+
+def test_old_names_lead_to_settings_that_are_there() -> None:
+    known = {row[0] for row in describe_settings()}
+    sections = {key.split(".")[0] for key in known}
+    assert all(new in known or new in sections for new in RENAMED.values())
+    assert not known & (set(REMOVED) | set(RENAMED))

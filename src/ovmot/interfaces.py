@@ -1,4 +1,4 @@
-"""What the odometry asks of its parts: a front end, an odometry source, an initializer."""
+"""What the odometry asks of its events and its parts: front end, odometry source, initializer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,13 +7,16 @@ from typing import Protocol, Self
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.errors import DatasetError
 from ovmot.feature_table import FeatureTable
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.types import (
     EgoEstimate,
+    Event,
     FeatureFrame,
     FrontendFrame,
     Health,
+    ImuSample,
     PoseWindow,
     StereoFrame,
     StereoMatches,
@@ -135,3 +138,39 @@ class Initializer(Protocol):
         Either none of the frames are used, and the source is at the first of them; or all are.
         """
         ...
+
+
+def check_event(event: Event, rig: StereoRig) -> None:
+    """Raise `DatasetError`, with the stamp, for an event that is not what its type promises.
+
+    Stamps are whole ns; IMU readings are three finite numbers each; images are uint8 and of their
+    camera's size, and so are masks; features are N ids and pixels (N, 4).
+    """
+    stamp = event.timestamp_ns
+    if not isinstance(stamp, int | np.integer):
+        raise DatasetError(f"stamp {stamp!r}: write it as a whole number of ns")
+    if isinstance(event, ImuSample):
+        for name, reading in (("gyro", event.gyro), ("accel", event.accel)):
+            if np.shape(reading) != (3,) or not np.all(np.isfinite(reading)):
+                raise DatasetError(f"IMU sample {stamp}: {name} must be three finite numbers")
+        return
+    if isinstance(event, FeatureFrame):
+        if np.shape(event.pixels) != (*np.shape(event.feature_id)[:1], 4):
+            raise DatasetError(f"frame {stamp}: features must be N ids and pixels (N, 4)")
+        return
+    cam0, cam1 = rig.cameras
+    for name, image, camera in (
+        ("left image", event.left, cam0), ("left mask", event.left_mask, cam0),
+        ("right image", event.right, cam1), ("right mask", event.right_mask, cam1),
+    ):  # fmt: skip
+        if image is None and name.endswith("mask"):
+            continue
+        if not _is_grey(image, (camera.height, camera.width)):
+            size = f"{camera.width}x{camera.height}"
+            raise DatasetError(
+                f"frame {stamp}: the {name} must be a grey one of {size} pixels, uint8"
+            )
+
+
+def _is_grey(image: Image | None, shape: tuple[int, int]) -> bool:
+    return isinstance(image, np.ndarray) and image.shape == shape and image.dtype == np.uint8

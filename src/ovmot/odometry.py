@@ -13,13 +13,20 @@ from ovmot.feature_table import (
     mark_dynamic,
     mark_outliers,
 )
+from ovmot.frontend import FRONT_ENDS
 from ovmot.frontend.epipolar import match_sigma
-from ovmot.frontend.front_ends import FRONT_ENDS
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.initialization.frame_buffer import FrameBuffer
 from ovmot.initialization.initializer import FilterInitializer
-from ovmot.interfaces import Feedback, FrontEnd, Initializer, OdometrySource, no_feedback
+from ovmot.interfaces import (
+    Feedback,
+    FrontEnd,
+    Initializer,
+    OdometrySource,
+    check_event,
+    no_feedback,
+)
 from ovmot.objects.moving_objects import MovingObjects
 from ovmot.physics import PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
@@ -112,8 +119,10 @@ class Odometry:
         """Take one IMU sample or frame; return the results that it made possible.
 
         A frame is held until the IMU covers its time. Raises `DatasetError` where the stamps of a
-        kind do not rise, `OvmotError` with the frame's stamp where the numbers break down.
+        kind do not rise or an event is malformed (`check_event`), `OvmotError` with the frame's
+        stamp where the numbers break down.
         """
+        check_event(event, self._rig)
         if isinstance(event, ImuSample):
             self._imu.append(event)
         else:

@@ -207,18 +207,18 @@ def run_into_folder(
 def _masks(
     sequence: RecordedSequence, settings: Settings, options: RunOptions
 ) -> Iterator[MaskSource]:
-    """The masks of a folder, of two files, and of the data's segmentation."""
+    """The masks of a folder, of two files, and of the data's instance images."""
     if options.masks is not None:
         yield open_masks(Path(options.masks), sequence.rig)
     if any(options.mask_files):
         left, right = (None if file is None else Path(file) for file in options.mask_files)
         yield open_mask_files((left, right), sequence.rig)
     ids = settings.masks.segmentation_ids
-    if ids and sequence.segmentation is None:
+    if ids and sequence.instances is None:
         remedy = "leave out masks.segmentation_ids"
-        raise InputError.at(sequence.root, "has no segmentation pictures", remedy)
-    if ids and sequence.segmentation is not None:
-        yield InstanceMasks.make(sequence.segmentation, ids, sequence.rig)
+        raise InputError.at(sequence.root, "has no instance images", remedy)
+    if ids and sequence.instances is not None:
+        yield InstanceMasks.make(sequence.instances, ids, sequence.rig)
 
 
 def _warnings(

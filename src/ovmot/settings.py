@@ -31,30 +31,18 @@ class TrackerSettings(Section):
 
     max_features: int = Field(250, ge=20, le=5000)
     """Features kept alive in the left image, in both where each camera is by itself."""
-    min_distance_px: float = Field(12.0, ge=2.0)
-    """New corners keep this distance from each other and from tracked features."""
     fast_threshold: int = Field(15, ge=1, le=255)
     """Contrast in grey levels that FAST asks of a corner."""
-    grid_cell_px: int = Field(64, ge=8)
-    """Side of the image cells over which corners are spread evenly."""
     equalization: Literal["histogram", "linear", "clahe", "none"] = "linear"
     """Contrast correction before matching: one gain, the histogram, local (CLAHE), or none."""
     klt_window_px: int = Field(11, ge=5, le=51)
     """Side of the patch that optical flow compares."""
-    klt_near_levels: int = Field(3, ge=1, le=8)
-    """Levels of the image pyramid for a search around a predicted place."""
     klt_levels: int = Field(5, ge=1, le=8)
-    """Levels for a search far around, where that found nothing."""
+    """Levels of the image pyramid; near a predicted place the two coarsest are left out."""
     fine_columns: int = Field(32, ge=4, le=256)
     """Columns of fine cells over the image; each gets a feature whenever it holds none."""
     focus_features: int = Field(300, ge=0, le=2000)
     """Further features where something seems to move, beside those above."""
-    focus_per_cell: int = Field(12, ge=1)
-    """Features there in a fine cell: a near body shall not take them all."""
-    focus_distance_px: float = Field(5.0, ge=2.0)
-    """Distance that these keep from each other."""
-    focus_width_m: float = Field(3.0, gt=0.0)
-    """Width of the surroundings of a moving point in which they are sought."""
     cameras: Literal["stereo", "left", "each"] = "stereo"
     """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
@@ -276,14 +264,8 @@ class ObjectSettings(Section):
     """Look for bodies and track them."""
     seed: int = Field(0, ge=0)
     """Seed of the random samples."""
-    max_points: int = Field(240, ge=10)
-    """Points that are looked at in a frame; those followed longest come first."""
-    points_per_track: int = Field(40, ge=3)
-    """Of these, points of one track."""
     neighbour_radius_m: float = Field(1.8, gt=0.0)
     """Points of one body have a neighbour within this, farther along the ray as stereo scatters."""
-    body_width_m: float = Field(2.7, gt=0.0)
-    """Neighbouring groups that move alike and together are no wider across are one body."""
     min_points: int = Field(3, ge=3)
     """Bodies with fewer points are left out."""
     max_excluded_share: float = Field(0.5, ge=0.0, le=1.0)
@@ -296,14 +278,8 @@ class ObjectSettings(Section):
     """The same of pitch and roll rates."""
     min_speed_mps: float = Field(0.5, ge=0.0)
     """Bodies slower than this are not measured."""
-    max_speed_sigma_mps: float = Field(1.5, gt=0.0)
-    """Nor do directions count in which their velocity is known no better."""
-    max_height_m: float = Field(4.5, gt=0.0)
-    """Nor are those that are higher above the cameras, and a tenth of their distance for slopes."""
     static_test: Literal["covariance", "fixed"] = "covariance"
     """Refuse static motions by the velocity's covariance, or by the fixed thresholds below."""
-    static_false_alarm: float = Field(1e-4, gt=0.0, lt=0.5)
-    """Covariance test: probability that a group at rest is called a moving body."""
     alpha_m: float = Field(0.1, ge=0.0)
     """Fixed test: mean displacement over the span that a body must show, depth weighted down."""
     beta_m: float = Field(0.5, ge=0.0)
@@ -312,27 +288,15 @@ class ObjectSettings(Section):
     """Fixed test: mean displacement in the image, divided by the mean depth."""
     delta_px: float = Field(3.0, ge=0.0)
     """Fixed test: further displacement in the image, divided by the number of points."""
-    depth_weight: float = Field(0.3, ge=0.0, le=1.0)
-    """Fixed test: weight of the depth component."""
 
 
 class ObjectTrackSettings(Section):
     """Tracks of moving bodies: how they move, and when they begin and end."""
 
-    accel: float = Field(1.5, gt=0.0)
-    """How much a body accelerates along the ground, m/s^2/sqrt(Hz)."""
-    lift: float = Field(0.2, gt=0.0)
-    """How much it accelerates upwards, m/s^2/sqrt(Hz)."""
-    yaw_accel: float = Field(0.3, gt=0.0)
-    """How much its yaw rate changes, rad/s^2/sqrt(Hz)."""
     confirm_hits: int = Field(3, ge=1)
     """Measurements after which a track is confirmed."""
     confirm_s: float = Field(0.15, ge=0.0)
     """Time that they must span."""
-    missed_s: float = Field(0.15, ge=0.0)
-    """Missed for no longer than this, a confirmed track is still called confirmed."""
-    place_sigma_m: float = Field(0.5, ge=0.0)
-    """Missed for longer too, while its place in view is known to this standard deviation."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""
     merge_frames: int = Field(3, ge=1)
@@ -354,16 +318,8 @@ class LiveSettings(Section):
     """Frames that may wait, beside those held for the IMU; of more, the oldest is dropped."""
     hold_s: float = Field(3.0, gt=0.0)
     """A hole in the IMU up to this long is gone through, its frames held; after more, a restart."""
-    jump_s: float = Field(0.5, gt=0.0)
-    """Stamps that go back by more than this are a restart of the source, by less are late."""
-    world_frame: str = "world"
-    """Name of the world frame in messages."""
-    imu_frame: str = "imu"
-    """Name of the IMU's frame."""
-    left_frame: str = "cam0"
-    """Name of the left camera's frame."""
-    right_frame: str = "cam1"
-    """Name of the right camera's frame."""
+    frames: tuple[str, str, str, str] = ("world", "imu", "cam0", "cam1")
+    """Names in messages of the world, the IMU, the left and the right camera."""
     publish_tf: bool = True
     """Publish world -> IMU -> cameras on /tf."""
 

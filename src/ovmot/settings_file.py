@@ -26,11 +26,49 @@ RENAMED = {
     "objects.max_range_m": "segmentation.max_range_m",
     "objects.static_false_alarm": "segmentation.false_alarm",
     "objects.depth_weight": "segmentation.depth_weight",
+    "calibration.center_sigma_px": "calibration.focal_sigma_px",
+    "initialization.rest_pixel": "zero_velocity.pixel",
 }
 """Sections and keys of version 0.1, and what they are called now."""
 
+_BY_IMAGE = "it follows from the image's width and tracker.fine_columns"
+_PHYSICS = "it is a fact of road users, in ovmot/physics.py"
+_FIXED = "its former default is fixed"
 REMOVED = {
+    "tracker.min_distance_px": _BY_IMAGE,
+    "tracker.grid_cell_px": _BY_IMAGE,
+    "tracker.focus_distance_px": _BY_IMAGE,
+    "tracker.focus_per_cell": _BY_IMAGE,
+    "tracker.focus_width_m": _PHYSICS,
+    "tracker.klt_near_levels": "it is tracker.klt_levels less 2",
+    "filter.min_depth_m": _FIXED,
+    "filter.max_depth_m": _FIXED,
+    "calibration.distortion_sigma": _FIXED,
+    "calibration.imu_matrix_sigma": _FIXED,
+    "calibration.g_sensitivity_sigma": _FIXED,
+    "imu.fallback": "give the four densities of imu.*",
+    "health.lost_velocity_sigma_mps": _FIXED,
+    "given_ego.window": _FIXED,
+    "zero_velocity.look_back_s": "it is that of segmentation.look_back_s nearest to half a second",
+    "zero_velocity.velocity_sigma_mps": "it is a fact of a rig at rest, in ovmot/physics.py",
+    "zero_velocity.rotation_sigma_rad": "it is a fact of a rig at rest, in ovmot/physics.py",
+    "zero_velocity.position_sigma_m": "it is a fact of a rig at rest, in ovmot/physics.py",
     "objects.noise": "the noise is measured unless noise.pixel_sigma is given",
+    "objects.max_points": _FIXED,
+    "objects.points_per_track": _FIXED,
+    "objects.body_width_m": _PHYSICS,
+    "objects.max_height_m": _PHYSICS,
+    "objects.max_speed_sigma_mps": _FIXED,
+    "object_tracks.accel": _PHYSICS,
+    "object_tracks.lift": _FIXED,
+    "object_tracks.yaw_accel": _FIXED,
+    "object_tracks.missed_s": _FIXED,
+    "object_tracks.place_sigma_m": _FIXED,
+    "live.jump_s": _FIXED,
+    "live.world_frame": "give all four names as live.frames",
+    "live.imu_frame": "give all four names as live.frames",
+    "live.left_frame": "give all four names as live.frames",
+    "live.right_frame": "give all four names as live.frames",
 }
 """Keys of version 0.1 that are no settings any more, and what takes their place."""
 

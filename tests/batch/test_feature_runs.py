@@ -16,7 +16,7 @@ from ovmot.evaluation.calibration import calibration_errors, calibration_scalars
 from ovmot.evaluation.consistency import nees, pose_errors
 from ovmot.geometry import se3, so3
 from ovmot.geometry.splines import PoseSpline
-from ovmot.outputs.run_reader import read_ego_run
+from ovmot.outputs.run_reader import read_calibration, read_ego_run
 from ovmot.run import RunOptions
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
@@ -46,11 +46,11 @@ def test_the_run_follows_the_truth(recording: FeatureRecording, tmp_path: Path) 
     np.testing.assert_array_equal(run.timestamp_ns, truth.timestamp_ns)
     error = run.T_world_imu[:, :3, 3] - truth.T_world_imu[:, :3, 3]
     assert np.sqrt((error**2).sum(axis=1).mean()) < 0.08
-    told = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert told["ended"] == "finished"
-    assert told["input"]["kind"] == "features"
-    assert told["options"]["start"] == "truth"
-    assert told["counts"]["frames_written"] == 60
+    prior = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert prior["ended"] == "finished"
+    assert prior["input"]["kind"] == "features"
+    assert prior["options"]["start"] == "truth"
+    assert prior["counts"]["frames_written"] == 60
 
 
 def test_the_covariance_is_honest(recording: FeatureRecording, tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
         FeatureOptions(n_features=150),
     )  # fmt: skip
     wrong = Miscalibration(rotation_deg=1.0, position_m=0.02, focal_share=0.01, time_offset_s=0.01)
-    true, told = simulation.rig, miscalibrated(simulation.rig, wrong, np.random.default_rng(0))
+    true, prior = simulation.rig, miscalibrated(simulation.rig, wrong, np.random.default_rng(0))
     settings = load_settings(
         None,
         [
@@ -141,8 +141,8 @@ def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
         ],
     )  # fmt: skip
     recording = FeatureRecording(simulation, 1)
-    run_features(recording, settings, RunOptions(tmp_path / "out"), initial_rig=told)
-    errors = calibration_errors(tmp_path / "out", told, true)
+    run_features(recording, settings, RunOptions(tmp_path / "out"), initial_rig=prior)
+    errors = calibration_errors(read_calibration(tmp_path / "out"), prior, true)
     assert errors is not None
     assert (np.abs(errors.error[20:]) < 4.0 * errors.sigma[20:]).all()
     found = calibration_scalars(errors)

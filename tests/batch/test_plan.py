@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.batch.jobs import render_jobs, run_jobs
 from ovmot.batch.plan import Features, Recorded, Rendered, nested, read_plan
 from ovmot.errors import InputError
 
@@ -36,19 +35,6 @@ def test_a_plan(tmp_path: Path) -> None:
     assert not settings.segmentation.enabled
     assert (settings.tracker.max_features, settings.tracker.klt_levels) == (100, 3)
     assert plan.seed_list == (0, 1, 2)
-
-
-def test_its_jobs(tmp_path: Path) -> None:
-    plan = read_plan(plan_file(tmp_path, PLAN))
-    runs = run_jobs(plan, tmp_path / "out", plan.seed_list)
-    names = [run.name for run in runs]
-    assert len(set(names)) == len(names) == 2 * (1 + 3 + 3)
-    assert "mh01/default/0" in names and "mh01/default/1" not in names
-    rendered = render_jobs(runs)
-    assert [(job.seed, job.sequence.scene) for job in rendered] == [
-        (s, "traffic") for s in range(3)
-    ]
-    assert len({run.identity for run in runs}) == len(runs)
 
 
 def test_a_plan_of_the_least(tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ def test_inside_counts_the_outermost_pixel_centres() -> None:
         ({"focal": (0.0, 400.0)}, "impossible"),
         ({"focal": (np.nan, 400.0)}, "finite"),
         ({"center": (np.inf, 200.0)}, "finite"),
-        ({"lens": "pinhole-radtan8"}, "known: radtan, equidistant, none"),
+        ({"model": "pinhole-radtan8"}, "known: radtan, equidistant, none"),
         ({"distortion": [0.1, 0.2, 0.3]}, "4 or 5 coefficients, got 3"),
         ({"distortion": [0.1, 0.2, 0.3, np.nan]}, "finite"),
     ],
@@ -150,7 +150,7 @@ def test_inside_counts_the_outermost_pixel_centres() -> None:
 def test_impossible_cameras_are_refused(change: dict[str, Any], word: str) -> None:
     good: dict[str, Any] = {
         "size": (752, 480), "focal": (458.0, 457.0), "center": (367.0, 248.0),
-        "lens": "radtan", "distortion": [0.0, 0.0, 0.0, 0.0],
+        "model": "radtan", "distortion": [0.0, 0.0, 0.0, 0.0],
     }  # fmt: skip
     Camera.make(**good)
     with pytest.raises(CalibrationError, match=word) as caught:

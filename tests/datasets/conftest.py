@@ -70,7 +70,7 @@ projection_matrix: !!opencv-matrix
 
 
 def image_of(number: int, channels: int = 1) -> np.ndarray:
-    """A picture that tells its number: `number` * 10 everywhere."""
+    """An image that tells its number: `number` * 10 everywhere."""
     shape = (HEIGHT, WIDTH) if channels == 1 else (HEIGHT, WIDTH, channels)
     return np.full(shape, 10 * number, dtype=np.uint8)
 

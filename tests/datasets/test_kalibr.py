@@ -67,7 +67,7 @@ def test_chain_with_all_its_parts(chain: Path) -> None:
     np.testing.assert_allclose(rig.T_cam1_cam0[:3, 3], [-0.11, 0.0, 0.0], atol=1e-12)
     # the right camera stands to the right: towards -y of an IMU with x forward, y left
     np.testing.assert_allclose(rig.T_imu_cam1[:3, 3], [0.1, -0.06, 0.0], atol=1e-12)
-    assert (rig.cam0.lens.name, rig.cam1.lens.name) == ("radtan", "equidistant")
+    assert (rig.cam0.model.name, rig.cam1.model.name) == ("radtan", "equidistant")
     np.testing.assert_array_equal(rig.cam0.distortion, [-0.1, 0.01, 1e-3, 2e-4])
     assert (rig.cam0.width, rig.cam0.height) == (752, 480)
     assert rig.time_offset_s == 0.005
@@ -97,7 +97,7 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("458.6", ".nan", "'cam0.intrinsics': holds a number that is not finite"),
         ("458.6", "wide", "expected 4 numbers"),
         ("458.6", "0.0", "not positive"),
-        ("model: radtan", "model: fov", "'cam0.distortion_model': unknown lens model 'fov'"),
+        ("model: radtan", "model: fov", "'cam0.distortion_model': unknown camera model 'fov'"),
         ("[-0.1, 0.01, 1.0e-3, 2e-4]", "[-0.1, 0.01]", "'cam0.distortion_coeffs': .*takes 4 or 5"),
         ("resolution: [752, 480]\n  timeshift", f"resolution: [{'9' * 25}, 480]\n  timeshift",
          "impossible camera: 1[0-9]+x480 pixels"),
@@ -110,9 +110,9 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("-0.11]", "0.0]", "same place"),
         ("-0.11]", "-110.0]", "110 m apart .translations are in metres"),
         ("timeshift_cam_imu: 0.005", "timeshift_cam_imu: 1e300", "no clock is 1e.300 s off"),
-        ("458.6, 457.2", "1e-9, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
-        ("458.6, 457.2", "1e12, 457.2", "cam0: no lens makes a picture of 752x480 pixels"),
-        ("[-0.1, 0.01, 1.0e-3", "[1e9, 0.01, 1.0e-3", "cam0: no lens makes a picture"),
+        ("458.6, 457.2", "1e-9, 457.2", "cam0: no camera makes an image of 752x480 pixels"),
+        ("458.6, 457.2", "1e12, 457.2", "cam0: no camera makes an image of 752x480 pixels"),
+        ("[-0.1, 0.01, 1.0e-3", "[1e9, 0.01, 1.0e-3", "cam0: no camera makes an image"),
         ("timeshift_cam_imu: 0.005", "resolution: [752, 480]", "found 'resolution' twice"),
         ("camera_model: pinhole\n", "camera_model: [pinhole\n", "not valid YAML"),
         ("cam1:", "cam7:", "'cam1': this key is missing"),

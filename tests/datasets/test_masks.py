@@ -69,6 +69,6 @@ def test_mistakes_are_one_line(painted_rig: StereoRig, tmp_path: Path) -> None:
     write(tmp_path / "cam0.png", lower_half(100))
     with pytest.raises(InputError, match=r"cam0\.png: is 320x100, the camera 320x240"):
         open_masks(tmp_path, painted_rig)
-    (tmp_path / "cam0.png").write_text("no picture")
-    with pytest.raises(InputError, match=r"cam0\.png: is no picture"):
+    (tmp_path / "cam0.png").write_text("no image")
+    with pytest.raises(InputError, match=r"cam0\.png: is no image"):
         open_masks(tmp_path, painted_rig)

@@ -53,8 +53,8 @@ def test_settings_of_the_euroc_configuration() -> None:
     given = load_run_config(FILES / "euroc" / "estimator_config.yaml")
     expected = {
         "tracker": {
-            "max_features": 180, "fast_threshold": 20, "min_distance_px": 10.0,
-            "grid_cell_px": 134, "equalization": "histogram", "cameras": "stereo",
+            "max_features": 180, "fast_threshold": 20,
+            "equalization": "histogram", "cameras": "stereo",
         },
         "filter": {
             "max_clones": 11, "integration": "rk4", "pixel_sigma": 1.0, "chi2_multiplier": 1.0,
@@ -97,7 +97,7 @@ def test_every_key_is_used_or_named_in_one_warning(config: Path) -> None:
     always = {"use_fej", "use_klt", "use_aruco", "downsample_cameras", "zupt_only_at_beginning"}
     dynamic = {"init_dyn_use"} if "kaist" in str(config) else {"zupt_max_disparity"}
     assert used == PLAIN.keys() | WORDS.keys() | always | dynamic | masks | {
-        "use_stereo", "max_cameras", "grid_x", "grid_y", "init_window_time", "use_mask",
+        "use_stereo", "max_cameras", "init_window_time", "use_mask",
         "relative_config_imu", "relative_config_imucam",
     }  # fmt: skip
     assert "knn_ratio" in named(warning)

@@ -1,4 +1,4 @@
-"""A sequence written in the form of a data set is read back: rig, stamps, samples, pictures."""
+"""A sequence written in the form of a data set is read back: rig, stamps, samples, images."""
 
 import shutil
 from pathlib import Path
@@ -52,7 +52,7 @@ def test_what_was_written_is_read(
     np.testing.assert_array_equal(sequence.frame_ns, simulation.camera_ns)
     assert_same_imu(sequence, form, simulation)
     if form == "kaist":
-        return  # its pictures are mosaics: test_writer.py
+        return  # its images are mosaics: test_writer.py
     paths = zip(sequence.left_paths, sequence.right_paths, strict=True)
     for frame, (left, right) in zip(rendered(form, simulation), paths, strict=True):
         np.testing.assert_array_equal(sequence.decode(left), frame.frame.left)

@@ -11,7 +11,7 @@ from ovmot.datasets.truth import depth_image, read_ego_truth, read_object_truth
 from ovmot.errors import InputError
 
 
-def test_depth_picture_has_256_steps_to_the_metre() -> None:
+def test_depth_image_has_256_steps_to_the_metre() -> None:
     depth = np.array([[0.05, 1.0, 255.99], [256.0, np.inf, np.nan]], dtype=np.float32)
     np.testing.assert_array_equal(depth_image(depth), [[13, 256, 65533], [0, 0, 0]])
 

@@ -15,12 +15,12 @@ from ovmot.datasets.writing import Writer, truth_times
 from ovmot.errors import InputError
 from ovmot.sim.imu_errors import ImuErrors
 from ovmot.sim.recording import generators, imu_samples, record
-from ovmot.sim.render import camera_rays, render_picture
+from ovmot.sim.render import camera_rays, render_image
 from ovmot.sim.simulation import Simulation
 
 
-def _picture_rig(writer: Writer, rig: StereoRig) -> StereoRig:
-    """The rig whose pictures a format holds."""
+def _image_rig(writer: Writer, rig: StereoRig) -> StereoRig:
+    """The rig whose images a format holds."""
     if writer in (WRITERS["kitti_sync"], WRITERS["4seasons"]):
         return rectified(rig)
     return without_distortion(rig) if writer is WRITERS["viode"] else rig
@@ -45,9 +45,9 @@ def test_depth_and_imu_truth_are_written(
     steps = cv2.imread(str(tmp_path / f"truth/depth/{time_ns}.png"), cv2.IMREAD_UNCHANGED)
     assert steps is not None
     assert steps.dtype == np.uint16
-    rig = _picture_rig(writer, simulation.rig)
+    rig = _image_rig(writer, simulation.rig)
     T_world_cam0 = simulation.path.pose(time_ns) @ rig.T_imu_cam0
-    true = render_picture(simulation.scene, camera_rays(rig.cam0), T_world_cam0, time_ns).depth
+    true = render_image(simulation.scene, camera_rays(rig.cam0), T_world_cam0, time_ns).depth
     near = np.isfinite(true) & (true < 255.0)
     assert 0.4 < near.mean() < 1.0
     np.testing.assert_allclose(steps[near] / 256.0, true[near], atol=0.5 / 256.0 + 1e-4)

@@ -44,7 +44,7 @@ def spoiled(walked: Path, tmp_path: Path) -> Callable[[str], Path]:
 
 
 def swap_sides(root: Path) -> None:
-    """The right camera's pictures as the left one's, and the other way round."""
+    """The right camera's images as the left one's, and the other way round."""
     left, right = (root / "mav0" / name / "data" for name in ("cam0", "cam1"))
     aside = left.with_name("aside")
     left.rename(aside)

@@ -49,18 +49,18 @@ def test_command(
     ovmot_command: Callable[..., Any],
     tmp_path: Path,
 ) -> None:
-    told = ovmot_command("doctor", walked)
-    assert told.code == 0, told.err
-    assert "time offset" in told.out
+    said = ovmot_command("doctor", walked)
+    assert said.code == 0, said.err
+    assert "time offset" in said.out
     found = tmp_path / "found.json"
-    told = ovmot_command("doctor", spoiled("accel_in_g"), "--json", found)
-    assert told.code == 1
+    said = ovmot_command("doctor", spoiled("accel_in_g"), "--json", found)
+    assert said.code == 1
     first = json.loads(found.read_text())["findings"][0]
     assert (first["severity"], first["check"]) == ("wrong", "accelerometer unit")
-    assert "the unit is g" in " ".join(told.out.split())
+    assert "the unit is g" in " ".join(said.out.split())
 
 
 def test_unreadable_input_exits_with_2(ovmot_command: Callable[..., Any], tmp_path: Path) -> None:
-    told = ovmot_command("doctor", tmp_path / "nowhere")
-    assert told.code == 2
-    assert "nowhere" in told.complaint
+    said = ovmot_command("doctor", tmp_path / "nowhere")
+    assert said.code == 2
+    assert "nowhere" in said.complaint

@@ -7,7 +7,7 @@ import pytest
 
 from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.cameras.rig import StereoRig
-from ovmot.doctor.places import Places
+from ovmot.doctor.locations import Locations
 from ovmot.doctor.report import Finding, Severity
 from ovmot.doctor.stereo_geometry import check_stereo, disparities, fit_of, fitted_extrinsics, moved
 from ovmot.geometry import se3, so3
@@ -31,7 +31,7 @@ def matches(rig: StereoRig, n: int = 1500, outliers: int = 150) -> FloatArray:
 
 
 def wrong_one(pixels: FloatArray, rig: StereoRig) -> Finding:
-    found, _ = check_stereo(pixels, rig, Places())
+    found, _ = check_stereo(pixels, rig, Locations())
     wrong = [f for f in found if f.severity is Severity.WRONG]
     assert len(wrong) == 1
     return wrong[0]
@@ -39,16 +39,16 @@ def wrong_one(pixels: FloatArray, rig: StereoRig) -> Finding:
 
 @pytest.mark.parametrize("rig", [street_rig(), fisheye_rig()])
 def test_the_true_rig_is_fine(rig: StereoRig) -> None:
-    found, best = check_stereo(matches(rig), rig, Places())
+    found, best = check_stereo(matches(rig), rig, Locations())
     assert {f.severity for f in found} == {Severity.FINE}
     assert best is rig
 
 
-def test_swapped_pictures() -> None:
+def test_swapped_images() -> None:
     rig = street_rig()
     swapped = matches(rig)[:, [2, 3, 0, 1]]
     assert "swapped" in wrong_one(swapped, rig).says
-    _, best = check_stereo(swapped, rig, Places())
+    _, best = check_stereo(swapped, rig, Locations())
     assert fit_of(swapped, best).share > 0.85
 
 
@@ -75,7 +75,7 @@ def test_a_turned_camera_is_measured(axis: int, degrees: float) -> None:
 def test_a_slightly_turned_camera_is_doubtful() -> None:
     rig = street_rig()
     turned = moved(rig, np.radians([0.0, 0.3, 0.0, 0.0, 0.0]))
-    found, _ = check_stereo(matches(rig), turned, Places())
+    found, _ = check_stereo(matches(rig), turned, Locations())
     assert found[0].severity is Severity.DOUBTFUL
 
 
@@ -90,16 +90,16 @@ def test_lens_models_mixed_up(name: str) -> None:
     true_lens = next(n for n in ("radtan", "equidistant") if n != name)
     true = replace(
         fish,
-        cam0=replace(cameras[0], lens=CAMERA_MODELS[true_lens]),
-        cam1=replace(cameras[1], lens=CAMERA_MODELS[true_lens]),
+        cam0=replace(cameras[0], model=CAMERA_MODELS[true_lens]),
+        cam1=replace(cameras[1], model=CAMERA_MODELS[true_lens]),
     )
     given = replace(
         true,
-        cam0=replace(true.cam0, lens=CAMERA_MODELS[name]),
-        cam1=replace(true.cam1, lens=CAMERA_MODELS[name]),
+        cam0=replace(true.cam0, model=CAMERA_MODELS[name]),
+        cam1=replace(true.cam1, model=CAMERA_MODELS[name]),
     )
     found = wrong_one(matches(true), given)
-    assert found.check == "lens model"
+    assert found.check == "camera model"
     assert f"'{true_lens}'" in found.says
 
 
@@ -113,5 +113,5 @@ def test_disparity_is_positive_in_front() -> None:
 
 
 def test_too_few_matches() -> None:
-    found, _ = check_stereo(np.zeros((5, 4)), street_rig(), Places())
+    found, _ = check_stereo(np.zeros((5, 4)), street_rig(), Locations())
     assert [f.severity for f in found] == [Severity.DOUBTFUL]

@@ -63,7 +63,7 @@ def test_imu_holes() -> None:
 
 
 def test_single_pair_is_no_error() -> None:
-    assert severities(check_frame_times(stamps(1), {})) == {"frame rate": Severity.NOT_TOLD}
+    assert severities(check_frame_times(stamps(1), {})) == {"frame rate": Severity.UNKNOWN}
 
 
 @pytest.mark.parametrize(

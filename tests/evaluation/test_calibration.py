@@ -13,6 +13,7 @@ from ovmot.evaluation.calibration import (
     true_deviations,
 )
 from ovmot.geometry import se3, so3
+from ovmot.outputs.run_reader import read_calibration
 from ovmot.sim.handheld import handheld_rig
 
 TURN = np.array([0.01, -0.02, 0.005])
@@ -20,20 +21,20 @@ SHIFT = np.array([0.003, 0.0, -0.004])
 
 
 @pytest.fixture
-def told() -> StereoRig:
+def prior() -> StereoRig:
     """Its left camera has to be turned, shifted and lengthened, its clock to be set back."""
     true = handheld_rig()
     T = true.T_imu_cam0
     wrong = se3.make(T[:3, :3] @ so3.exp(-TURN), T[:3, 3] - SHIFT)
-    lens = true.cam0.intrinsics - [3.0, 4.0, 0.5, 0.0, 0.0]
+    intrinsics = true.cam0.intrinsics - [3.0, 4.0, 0.5, 0.0, 0.0]
     return replace(
-        true, T_imu_cam0=wrong, cam0=replace(true.cam0, intrinsics=lens),
+        true, T_imu_cam0=wrong, cam0=replace(true.cam0, intrinsics=intrinsics),
         time_offset_s=true.time_offset_s + 0.01,
     )  # fmt: skip
 
 
-def test_deviations_lead_from_the_told_rig_to_the_true_one(told: StereoRig) -> None:
-    right = true_deviations(told, handheld_rig())
+def test_deviations_lead_from_the_told_rig_to_the_true_one(prior: StereoRig) -> None:
+    right = true_deviations(prior, handheld_rig())
     names = ("rx", "ry", "rz", "x", "y", "z")
     np.testing.assert_allclose([right[f"cam0_pose_{n}"] for n in names], [*TURN, *SHIFT])
     np.testing.assert_allclose([right[f"cam1_pose_{n}"] for n in names], 0.0, atol=1e-14)
@@ -69,9 +70,9 @@ def write(run: Path, poses: bool = True, clock_sigma_s: float = 0.001) -> None:
     )
 
 
-def test_errors_and_sigmas(told: StereoRig, tmp_path: Path) -> None:
+def test_errors_and_sigmas(prior: StereoRig, tmp_path: Path) -> None:
     write(tmp_path)
-    errors = calibration_errors(tmp_path, told, handheld_rig())
+    errors = calibration_errors(read_calibration(tmp_path), prior, handheld_rig())
     assert errors is not None
     assert errors.names[-1] == "time_offset_s"
     assert "gyro_matrix_00" not in errors.names
@@ -89,19 +90,19 @@ def test_errors_and_sigmas(told: StereoRig, tmp_path: Path) -> None:
     assert found["calibration_inside_3_sigma"] == pytest.approx(10 / 11)  # the first frame is early
 
 
-def test_what_is_not_estimated_has_no_value(told: StereoRig, tmp_path: Path) -> None:
-    assert calibration_errors(tmp_path, told, handheld_rig()) is None
+def test_what_is_not_estimated_has_no_value(prior: StereoRig, tmp_path: Path) -> None:
+    assert calibration_errors(read_calibration(tmp_path), prior, handheld_rig()) is None
     write(tmp_path, poses=False)
-    errors = calibration_errors(tmp_path, told, handheld_rig())
+    errors = calibration_errors(read_calibration(tmp_path), prior, handheld_rig())
     assert errors is not None
     found = calibration_scalars(errors)
     assert found["calibration_rotation_deg"] is None
     assert found["calibration_focal_px"] == pytest.approx(1.5)
 
 
-def test_a_clock_that_is_held_does_not_count(told: StereoRig, tmp_path: Path) -> None:
+def test_a_clock_that_is_held_does_not_count(prior: StereoRig, tmp_path: Path) -> None:
     write(tmp_path, clock_sigma_s=0.0)
-    errors = calibration_errors(tmp_path, told, handheld_rig())
+    errors = calibration_errors(read_calibration(tmp_path), prior, handheld_rig())
     assert errors is not None and "time_offset_s" not in errors.names
     found = calibration_scalars(errors)
     assert found["calibration_time_offset_ms"] is None

@@ -11,7 +11,7 @@ from ovmot.evaluation.consistency import (
     chi_squared_bounds,
     nees,
     nis,
-    normalised_average,
+    normalized_average,
     pose_errors,
     turn_world,
 )
@@ -74,7 +74,7 @@ def test_a_singular_covariance_gives_nan_that_is_counted(bad: FloatArray) -> Non
 
 def test_nothing_known_has_no_average() -> None:
     assert average(np.full(3, np.nan), 3) is None
-    assert normalised_average(Nis(np.array([np.nan]), np.array([2]))) is None
+    assert normalized_average(Nis(np.array([np.nan]), np.array([2]))) is None
 
 
 def test_small_units_alone_do_not_make_a_covariance_singular() -> None:
@@ -89,13 +89,13 @@ def test_nis_of_innovations_of_changing_dimension() -> None:
     innovations = [np.linalg.cholesky(s) @ rng.standard_normal(len(s)) for s in S]
     squares = nis(innovations, S)
     assert squares.dof.tolist() == sizes.tolist()
-    found = normalised_average(squares)
+    found = normalized_average(squares)
     assert found is not None
     mean, (low, high) = found
     assert mean == pytest.approx(squares.values.sum() / sizes.sum())
     assert low <= mean <= high
     assert low < 1.0 < high
-    doubled = normalised_average(nis([2.0 * e for e in innovations], S))
+    doubled = normalized_average(nis([2.0 * e for e in innovations], S))
     assert doubled is not None
     assert doubled[0] > doubled[1][1]
 

@@ -78,12 +78,12 @@ def test_a_run_without_covariance_is_said_to_have_none(series: EgoSeries) -> Non
     assert "error (true - estimated)" in labels
 
 
-def test_figures_are_saved_as_pictures(series: EgoSeries, tmp_path: Path) -> None:
+def test_figures_are_saved_as_images(series: EgoSeries, tmp_path: Path) -> None:
     save_figure(nees_figure(series), tmp_path / "nees.png")
-    picture = cv2.imread(str(tmp_path / "nees.png"), cv2.IMREAD_COLOR)
-    assert picture is not None
-    assert picture.shape == (660, 1320, 3)
-    assert picture.std() > 5.0
+    image = cv2.imread(str(tmp_path / "nees.png"), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert image.shape == (660, 1320, 3)
+    assert image.std() > 5.0
     with pytest.raises(OvmotError, match=r"no/nees.png: cannot be written"):
         save_figure(nees_figure(series), tmp_path / "no" / "nees.png")
 

@@ -1,4 +1,4 @@
-"""Labels against a picture of ids, and the stereo gate against a picture of depth."""
+"""Labels against an image of ids, and the stereo gate against an image of depth."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def points(rows: list[tuple[float, float, float, int]]) -> LabelledPoints:
     )
 
 
-def test_labels_are_counted_where_the_picture_is_sure(truth: ObjectTruth) -> None:
+def test_labels_are_counted_where_the_image_is_sure(truth: ObjectTruth) -> None:
     assert LABELS == ("unknown", "static", "dynamic")
     found = count_labels(
         points([

@@ -4,7 +4,6 @@ import csv
 import importlib.util
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,22 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from true_objects import objects_at, tracks_at
 
 from ovmot.datasets.pose_files import write_tum
-from ovmot.datasets.truth import TrueObjects, read_ego_truth
+from ovmot.datasets.truth import read_ego_truth
 from ovmot.evaluation.matching import (
-    ComparedFrame,
     ObjectCriteria,
-    box_distances,
     compare_frame,
-    tracking_sequence,
 )
-from ovmot.evaluation.object_errors import detection_latency, pair_errors, pull_out_latency
 from ovmot.evaluation.objects import evaluate_objects, object_scalars
-from ovmot.evaluation.tracking import clear_mot
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.outputs.run_reader import Tracks
 from ovmot.run_evaluation import evaluate
 
 TRACK_COLUMNS = (
@@ -140,130 +134,6 @@ def test_the_same_figures_as_the_scorer(
 
 
 STAMP = 100
-
-
-def objects_at(
-    x: float, *, speed: float = 5.0, pixels: int = 900, yaw: float = 0.0, stamp: int = STAMP
-) -> TrueObjects:
-    """A car 4 x 2 x 1.6 m at (x, 3, 0.8)."""
-    return TrueObjects(
-        stamp, np.array([7]), np.array([[x, 3.0, 0.8]]), np.array([yaw]),
-        np.array([[4.0, 2.0, 1.6]]), np.array([[speed, 0.0, 0.0]]), np.array([0.0]),
-        np.array([pixels]),
-    )  # fmt: skip
-
-
-def tracks_at(*x: float, stamp: int = STAMP) -> Tracks:
-    n = len(x)
-    position = np.array([[value, 3.0, 0.8] for value in x]).reshape(-1, 3)
-    return Tracks(
-        np.full(n, stamp), np.arange(n), position, np.tile([5.0, 0.0, 0.0], (n, 1)), np.zeros(n),
-        np.zeros(n), np.tile([4.0, 2.0, 1.6], (n, 1)), np.full((n, 6), 0.1),
-    )  # fmt: skip
-
-
-def test_distance_to_a_turned_box() -> None:
-    turned = objects_at(10.0, yaw=0.5 * np.pi)
-    points = np.array([[10.0, 3.0, 0.8], [10.0, 6.0, 0.8], [13.0, 3.0, 0.8], [11.5, 5.5, 2.6]])
-    expected = [0.0, 1.0, 2.0, np.sqrt(0.25 + 0.25 + 1.0)]
-    np.testing.assert_allclose(box_distances(points, turned)[0], expected)
-
-
-@pytest.mark.parametrize(
-    "free", [objects_at(10, speed=0.5), objects_at(10, pixels=300), objects_at(45), objects_at(-9)]
-)
-def test_what_need_not_be_found_is_neither_hit_nor_miss(free: TrueObjects) -> None:
-    x = float(free.center[0, 0])
-    frame = compare_frame(free, tracks_at(x), np.eye(4), np.eye(4), ObjectCriteria())
-    clear = clear_mot(tracking_sequence([frame], 2.5))
-    assert (clear.n_true, clear.n_tracks) == (0, 0)
-    away = compare_frame(free, tracks_at(x + 8.0), np.eye(4), np.eye(4), ObjectCriteria())
-    assert clear_mot(tracking_sequence([away], 2.5)).false_positives == 1
-
-
-def test_one_track_too_many_is_false() -> None:
-    frame = compare_frame(
-        objects_at(10), tracks_at(10.0, 11.0), np.eye(4), np.eye(4), ObjectCriteria()
-    )
-    clear = clear_mot(tracking_sequence([frame], 2.5))
-    assert (clear.hits, clear.false_positives) == (1, 1)
-
-
-def test_drift_of_the_rig_is_not_counted_twice() -> None:
-    T_run = np.eye(4)
-    T_run[:3, 3] = [100.0, -50.0, 2.0]
-    moved = tracks_at(110.0)
-    moved = replace(moved, position=moved.position + np.array([0.0, -50.0, 2.0]))
-    frame = compare_frame(objects_at(10), moved, np.eye(4), T_run, ObjectCriteria())
-    np.testing.assert_allclose(frame.distance, 0.0, atol=1e-9)
-
-
-def test_motion_error_and_latency() -> None:
-    stamps = [0, 100_000_000, 200_000_000, 300_000_000]
-    frames = [
-        compare_frame(
-            objects_at(10.0 + 6.0 * t * 1e-9, speed=6.0, stamp=t),
-            tracks_at(*([10.0 + 6.0 * t * 1e-9] if t >= 200_000_000 else []), stamp=t),
-            np.eye(4), np.eye(4), ObjectCriteria(),
-        )
-        for t in stamps
-    ]  # fmt: skip
-    latency = detection_latency(frames)
-    np.testing.assert_allclose(latency.seconds, [0.2])
-    assert latency.never == 0
-    errors = pair_errors(frames)
-    np.testing.assert_allclose(errors.speed, -1.0)
-    np.testing.assert_allclose(errors.motion_m, [0.1])  # 1 m/s too slow for 0.1 s
-    np.testing.assert_allclose(errors.motion_rad, 0.0)
-    never = detection_latency(frames[:2])
-    assert (len(never.seconds), never.never) == (0, 1)
-
-
-def pulling_out(
-    speeds: list[float], *, tracked_from: int, x: float = 12.0, pixels: int = 900
-) -> list[ComparedFrame]:
-    """Ten frames a second of a car at these speeds, with a track on it from some frame on."""
-    return [
-        compare_frame(
-            objects_at(x, speed=speed, stamp=k * 10**8, pixels=pixels),
-            tracks_at(*([x] if k >= tracked_from else []), stamp=k * 10**8),
-            np.eye(4), np.eye(4), ObjectCriteria(),
-        )
-        for k, speed in enumerate(speeds)
-    ]  # fmt: skip
-
-
-PULL_OUT = ObjectCriteria(min_speed_mps=2.0, max_range_m=20.0)
-STARTING = [0.0, 0.0, 1.2, 1.9, 2.1, 3.0, 4.0, 5.0]
-
-
-@pytest.mark.parametrize(("tracked_from", "seconds"), [(7, 0.3), (4, 0.0), (2, 0.0)])
-def test_pull_out_latency_counts_from_two_metres_a_second(
-    tracked_from: int, seconds: float
-) -> None:
-    latency = pull_out_latency(pulling_out(STARTING, tracked_from=tracked_from), PULL_OUT)
-    np.testing.assert_allclose(latency.seconds, [seconds], atol=1e-9)
-    assert latency.never == 0
-
-
-def test_a_pull_out_without_a_track_is_counted_apart() -> None:
-    latency = pull_out_latency(pulling_out(STARTING, tracked_from=99), PULL_OUT)
-    assert (len(latency.seconds), latency.never) == (0, 1)
-
-
-@pytest.mark.parametrize(
-    "frames",
-    [
-        pulling_out([5.0, 5.0, 1.0, 3.0, 5.0], tracked_from=0),  # it came in fast
-        pulling_out(STARTING, tracked_from=0, x=25.0),
-        pulling_out(STARTING, tracked_from=0, x=-8.0),
-        pulling_out(STARTING, tracked_from=0, pixels=300),
-        pulling_out([0.0, 1.5, 1.9], tracked_from=0),
-    ],
-)
-def test_what_does_not_pull_out_near_by_has_no_latency(frames: list[ComparedFrame]) -> None:
-    latency = pull_out_latency(frames, PULL_OUT)
-    assert (len(latency.seconds), latency.never) == (0, 0)
 
 
 def test_without_tracks_there_are_no_errors_to_report() -> None:

@@ -3,11 +3,25 @@
 import numpy as np
 import pytest
 
-from ovmot.frontend.corners import Spread, choose_corners, even_spread, fast_corners
+from ovmot.cameras.camera import Camera
+from ovmot.frontend.corners import (
+    Spread,
+    choose_corners,
+    even_spread,
+    fast_corners,
+    fine_cell_px,
+    focus_areas,
+    focus_mask,
+    new_corners,
+)
 from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.settings import TrackerSettings
+from ovmot.types import PointLabel, ScenePoints
 
 MOST_IN_A_CELL = 5
+BORDER_PX = 8
 SPREAD = Spread(distance_px=10.0, cell_px=64, per_cell=MOST_IN_A_CELL)
+SETTINGS = TrackerSettings(max_features=40, focus_features=60, fine_columns=8)
 NOTHING: FloatArray = np.empty((0, 2))
 
 
@@ -25,7 +39,7 @@ def dots() -> Image:
 
 def detect(image: Image, existing: FloatArray, n_wanted: int) -> FloatArray:
     """New corners (M, 2) of an image."""
-    points, response = fast_corners(image, 15)
+    points, response = fast_corners(image, 15, BORDER_PX)
     return choose_corners(points, response, existing, n_wanted, SPREAD, image.shape)
 
 
@@ -53,8 +67,16 @@ def test_corners_keep_apart(dots: Image) -> None:
 
 
 def test_an_even_spread_gives_a_cell_twice_its_share() -> None:
-    # 8x4 cells of 64 px
-    assert even_spread(80, 10.0, 64, (256, 512)) == SPREAD
+    # 9x5 cells of 60 px
+    assert even_spread(90, 20, (256, 512)) == Spread(12.0, 60, 4)
+
+
+def test_all_lengths_scale_with_the_image() -> None:
+    small, large = (256, 512), (512, 1024)
+    one, two = (fine_cell_px(shape, SETTINGS) for shape in (small, large))
+    assert (one, two) == (64, 128)
+    a, b = even_spread(90, one, small), even_spread(90, two, large)
+    assert (b.distance_px, b.cell_px, b.per_cell) == (2 * a.distance_px, 2 * a.cell_px, a.per_cell)
 
 
 def test_no_cell_gets_more_than_it_may_hold(dots: Image) -> None:
@@ -97,11 +119,60 @@ def test_a_blank_image_has_no_corners() -> None:
     assert detect(blank, NOTHING, 50).shape == (0, 2)
 
 
-def test_corners_at_the_rim_are_not_taken(dots: Image) -> None:
-    rim = np.full((128, 128), 50, dtype=np.uint8)
-    rim[:5, :5] = 200
-    assert len(detect(rim, NOTHING, 50)) == 0
+def test_corners_at_the_border_are_not_taken(dots: Image) -> None:
+    edge = np.full((128, 128), 50, dtype=np.uint8)
+    edge[:5, :5] = 200
+    assert len(detect(edge, NOTHING, 50)) == 0
     found = detect(dots, NOTHING, 500)
-    assert found.min() >= 8.0
+    assert found.min() >= BORDER_PX
     assert found[:, 0].max() < 504.0
     assert found[:, 1].max() < 248.0
+
+
+def test_the_mask_holds_small_circles_alone() -> None:
+    assert focus_mask((240, 320), np.empty((0, 2)), np.empty(0), 20) is None
+    places = np.array([[100.0, 50.0], [200.0, 150.0]])
+    mask = focus_mask((240, 320), places, np.array([20.0, 99.0]), 20)
+    assert mask is not None
+    assert mask[50, 115] > 0 and mask[50, 125] == 0
+    assert mask[150, 200] == 0  # what is near has features enough
+    assert focus_mask((240, 320), np.array([[9.0, 9.0]]), np.array([80.0]), 20) is None
+
+
+def test_every_fine_cell_gets_a_corner_though_there_are_enough(dots: Image) -> None:
+    found = new_corners(dots, None, NOTHING, None, SETTINGS)
+    cell = set(map(tuple, (found // 64).astype(int).tolist()))
+    assert len(found) > SETTINGS.max_features
+    assert len(cell) >= 30  # of 8 columns of 64 px and 4 rows; they keep apart across cells too
+    again = new_corners(dots, None, found, None, SETTINGS)
+    assert len(again) == 0
+
+
+def test_corners_are_denser_where_the_focus_is_and_none_where_the_mask_is(dots: Image) -> None:
+    focus, mask = np.zeros_like(dots), np.zeros_like(dots)
+    focus[64:192, 64:192] = 255
+    mask[:, 256:] = 1
+    even = new_corners(dots, None, NOTHING, None, SETTINGS)
+    dense = new_corners(dots, mask, NOTHING, focus, SETTINGS)
+    inside = [int(((c > 64) & (c < 192)).all(axis=1).sum()) for c in (even, dense)]
+    assert 2 * inside[0] < inside[1] <= SETTINGS.focus_features
+    assert dense[:, 0].max() < 256
+    assert nearest(dense, dense).min() >= 4.0
+
+
+def test_more_features_are_wanted_around_what_moves_or_may() -> None:
+    """Half of the width at the depth of each; a static point and one without depth have none."""
+    camera = Camera.make((640, 480), (400.0, 400.0), (320.0, 240.0))
+    n = 5
+    p = np.column_stack([np.zeros(n), np.zeros(n), [10.0, 20.0, 5.0, np.nan, 8.0]])
+    label = np.full(n, int(PointLabel.STATIC))
+    label[[0, 3]] = int(PointLabel.DYNAMIC)
+    pixels = np.arange(4.0 * n).reshape(n, 4)
+    none = np.full((n, 2), np.nan)
+    points = ScenePoints(
+        np.arange(n), pixels, p, np.zeros((n, 3, 3)), label, np.array([-1, 4, -1, -1, -1]),
+        none, none, none[:, 0], none[:, 0], np.ones(n, dtype=np.bool_),
+    )  # fmt: skip
+    uv, radius = focus_areas(points, np.arange(n) == 4, camera)
+    np.testing.assert_array_equal(uv, pixels[[0, 1, 4], :2])
+    np.testing.assert_allclose(radius, [52.0, 26.0, 65.0])

@@ -1,4 +1,4 @@
-"""The gate against exact geometry: any lens, lines in any direction, both ways to scale."""
+"""The gate and the two-view test on exact geometry: any lens, lines in any direction."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,16 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar import (
     epipolar_lines,
     gate_matches,
+    match_sigma,
+    no_matches,
     scale_by_angle,
     scale_by_fy,
-    without_refused,
+    two_view_inliers,
+    without_rejected,
 )
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.physics import LEAST_MATCH_SIGMA_PX
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
@@ -24,6 +28,8 @@ LENSES = {
 }
 ANGLE = EpipolarSettings(threshold_px=1.5, scale="angle")
 FY = EpipolarSettings(threshold_px=1.5, scale="fy")
+FOCAL = 400.0
+THRESHOLD = 1.0 / FOCAL
 
 
 def rotated_rig(lens: str, focal: tuple[float, float] = (420.0, 310.0)) -> StereoRig:
@@ -140,14 +146,14 @@ def test_the_scales_differ_on_sloped_lines_by_their_definition() -> None:
 
 
 @pytest.mark.parametrize("column", range(4))
-def test_nan_is_refused(column: int) -> None:
+def test_nan_is_rejected(column: int) -> None:
     rig = rotated_rig("radtan")
     pixels = true_matches(rig)[:5]
     pixels[2, column] = np.nan
     assert gate(rig, pixels, ANGLE).accepted.tolist() == [True, True, False, True, True]
 
 
-def test_a_pixel_past_the_lens_s_fold_is_refused() -> None:
+def test_a_pixel_past_the_lens_s_fold_is_rejected() -> None:
     camera = Camera.make((752, 480), (420.0, 420.0), (370.0, 245.0), "radtan", [-0.5, 0.0, 0, 0])
     rig = StereoRig(camera, camera, np.eye(4), se3.make(np.eye(3), np.array([0.3, 0.0, 0.0])))
     pixels = np.array([[380.0, 245.0, 370.0, 245.0], [380.0, 245.0, 5.0, 5.0]])
@@ -164,14 +170,129 @@ def test_the_threshold_is_respected() -> None:
     assert gate(rig, pixels, ANGLE).accepted.tolist() == [True, False, False]
 
 
-def test_a_refused_match_loses_its_right_half_only() -> None:
+def test_a_rejected_match_loses_its_right_half_only() -> None:
     rig = level_rig()
     pixels = true_matches(rig)[:4]
     pixels[1, 3] += 10.0
     matches = gate(rig, pixels, ANGLE)
-    out = without_refused(pixels, matches)
+    out = without_rejected(pixels, matches)
     np.testing.assert_array_equal(out[:, :2], pixels[:, :2])
     assert np.isnan(out[:, 2]).tolist() == [False, True, False, False]
     assert np.isnan(out[:, 3]).tolist() == [False, True, False, False]
     np.testing.assert_array_equal(out[[0, 2, 3]], pixels[[0, 2, 3]])
     assert np.isfinite(pixels).all()  # the argument is left as it was
+
+
+def distances(px: FloatArray, threshold: float = 1.5) -> StereoMatches:
+    n = len(px)
+    return StereoMatches(
+        np.arange(n), np.zeros((n, 4)), px, px <= threshold, np.zeros((n, 3))
+    )  # fmt: skip
+
+
+def test_the_noise_of_pixels_is_that_of_the_distances() -> None:
+    """Of both pixels in quadrature; a distance across the line holds all of it."""
+    normal = np.abs(np.random.default_rng(0).normal(0.0, 0.3 * 2.0**0.5, 20000))
+    assert match_sigma(distances(normal)) == pytest.approx(0.3, rel=0.02)
+    # heavier tails than a normal distribution widen it, rejected matches do not count
+    tails = np.concatenate([normal, np.abs(np.random.default_rng(1).normal(0.0, 1.0, 3000))])
+    assert 0.32 < match_sigma(distances(tails)) < 0.45
+    wrong = np.concatenate([normal, np.full(9000, 50.0)])
+    assert match_sigma(distances(wrong)) == match_sigma(distances(normal))
+
+
+def test_few_matches_show_no_noise_and_exact_ones_the_least() -> None:
+    assert np.isnan(match_sigma(no_matches()))
+    assert np.isnan(match_sigma(distances(np.full(19, 0.2))))
+    assert match_sigma(distances(np.zeros(20))) == LEAST_MATCH_SIGMA_PX
+
+
+def scene(n: int, T_now_before: FloatArray, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Normalized coordinates (N, 2) before and now of static points, with 0.1 px of noise."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(4.0, 30.0, n)
+    p = np.column_stack([rng.uniform(-0.8, 0.8, n) * z, rng.uniform(-0.5, 0.5, n) * z, z])
+    q = se3.apply(T_now_before, p)
+    noise = rng.normal(0.0, 0.1 / FOCAL, (2, n, 2))
+    return p[:, :2] / z[:, None] + noise[0], q[:, :2] / q[:, 2:] + noise[1]
+
+
+@pytest.fixture
+def motion() -> FloatArray:
+    """Forward and a little to the side, with a turn."""
+    return se3.make(so3.exp(np.array([0.01, -0.03, 0.005])), np.array([0.1, 0.02, -0.6]))
+
+
+def test_static_points_pass(motion: FloatArray) -> None:
+    before, now = scene(150, motion)
+    assert two_view_inliers(before, now, THRESHOLD).mean() > 0.95
+
+
+def test_moved_points_are_rejected(motion: FloatArray) -> None:
+    """Where a point goes off its epipolar line the test sees it; along it, it can not."""
+    before, now = scene(150, motion)
+    E = so3.hat(motion[:3, 3]) @ motion[:3, :3]
+    line = np.concatenate([before, np.ones((150, 1))], axis=1) @ E.T
+    normal = line[:, :2] / np.linalg.norm(line[:, :2], axis=1, keepdims=True)
+    now[:30] += 8.0 / FOCAL * normal[:30]
+    passed = two_view_inliers(before, now, THRESHOLD)
+    assert passed[:30].mean() < 0.1
+    assert passed[30:].mean() > 0.95
+
+
+def test_a_moving_minority_does_not_win(motion: FloatArray) -> None:
+    """A body of 40 points on a motion of its own, among 110 static points."""
+    before, now = scene(150, motion)
+    own = se3.make(np.eye(3), np.array([1.5, 0.8, -0.2]))
+    before[:40], now[:40] = scene(40, own, seed=7)
+    passed = two_view_inliers(before, now, THRESHOLD)
+    assert passed[:40].mean() < 0.3
+    assert passed[40:].mean() > 0.9
+
+
+def test_with_few_points_it_knows_nothing_and_passes_all(motion: FloatArray) -> None:
+    before, now = scene(11, motion)
+    now[:5] += 0.2
+    assert two_view_inliers(before, now, THRESHOLD).all()
+    nothing = np.empty((0, 2))
+    assert two_view_inliers(nothing, nothing, THRESHOLD).shape == (0,)
+
+
+def test_without_any_common_motion_all_pass() -> None:
+    rng = np.random.default_rng(2)
+    before, now = rng.uniform(-0.8, 0.8, (2, 15, 2))
+    passed = two_view_inliers(before, now, 1e-6)
+    assert passed.all()
+
+
+def test_nan_does_not_pass(motion: FloatArray) -> None:
+    before, now = scene(60, motion)
+    now[4] = np.nan
+    before[9, 1] = np.nan
+    passed = two_view_inliers(before, now, THRESHOLD)
+    assert not passed[[4, 9]].any()
+    assert passed.mean() > 0.9
+    few_before, few_now = before[:10], now[:10]
+    assert not two_view_inliers(few_before, few_now, THRESHOLD)[[4, 9]].any()
+
+
+def test_the_verdict_does_not_change_from_run_to_run(motion: FloatArray) -> None:
+    before, now = scene(150, motion)
+    now[:60] += np.random.default_rng(1).uniform(-0.02, 0.02, (60, 2))
+    first = two_view_inliers(before, now, THRESHOLD)
+    for _ in range(5):
+        np.testing.assert_array_equal(two_view_inliers(before, now, THRESHOLD), first)
+
+
+def test_a_stationary_camera_keeps_static_points() -> None:
+    before, _ = scene(100, np.eye(4))
+    now = before + np.random.default_rng(3).normal(0.0, 0.05 / FOCAL, before.shape)
+    assert two_view_inliers(before, now, THRESHOLD).mean() > 0.95
+
+
+@pytest.mark.parametrize("seed", [1208, 1287, 1437, 1674])
+def test_noise_on_which_the_solver_fails_is_no_failure(seed: int) -> None:
+    rng = np.random.default_rng(seed)  # OpenCV 4.14 raises on these: "!model.empty()"
+    before = rng.uniform(-0.7, 0.7, (100, 2))
+    now = before + rng.normal(0.0, 1.0 / 458, before.shape) * 2.0 + (seed % 40) * 1e-3
+    assert two_view_inliers(before, now, 1.0 / 458).all()

@@ -1,11 +1,14 @@
 """Given features go through the checks that tracked ones go through."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.frontend.given_features import GivenFeatures
+from ovmot.frontend import FRONT_ENDS
+from ovmot.frontend.given_features import ARRANGEMENTS, GivenFeatures
 from ovmot.geometry.arrays import FloatArray
 from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
@@ -40,7 +43,7 @@ def test_a_match_off_its_line_loses_its_right_half(
     assert np.isfinite(seen.pixels[:, :2]).all()
 
 
-def test_hops_count_frames_and_a_stray_track_fails_the_two_view_test(
+def test_track_lengths_count_frames_and_a_stray_track_fails_the_two_view_test(
     frontend: GivenFeatures, painted_rig: StereoRig
 ) -> None:
     rng = np.random.default_rng(0)
@@ -62,7 +65,7 @@ def test_hops_count_frames_and_a_stray_track_fails_the_two_view_test(
     assert seen.feature_id[~seen.two_view_inlier].tolist() == [3]
 
 
-def test_images_are_refused(frontend: GivenFeatures, painted_rig: StereoRig) -> None:
+def test_images_are_rejected(frontend: GivenFeatures, painted_rig: StereoRig) -> None:
     image = np.zeros((240, 320), dtype=np.uint8)
     with pytest.raises(OvmotError, match="frame 7: images"):
         frontend.track(StereoFrame(7, image, image), np.eye(4), no_feedback(painted_rig))
@@ -83,7 +86,7 @@ def test_the_left_camera_alone_leaves_the_right_halves(painted_rig: StereoRig) -
     assert len(matches.feature_id) == 0
 
 
-def test_each_camera_by_itself_takes_the_pairs_apart(painted_rig: StereoRig) -> None:
+def test_each_camera_by_itself_separates_the_pairs(painted_rig: StereoRig) -> None:
     """And each camera's tracks are tested by its own two views."""
     rng = np.random.default_rng(1)
     first = grid(painted_rig, 0.0)
@@ -104,3 +107,8 @@ def test_each_camera_by_itself_takes_the_pairs_apart(painted_rig: StereoRig) -> 
     np.testing.assert_array_equal(seen.pixels[~left, 2:], second[:, 2:])
     assert (seen.track_length == 1).all()
     assert sorted(seen.feature_id[~seen.two_view_inlier].tolist()) == [6, 11]
+
+
+def test_every_choice_of_cameras_is_there_for_images_and_given_features() -> None:
+    choices = get_args(TrackerSettings.model_fields["cameras"].annotation)
+    assert set(choices) == set(FRONT_ENDS) == set(ARRANGEMENTS)

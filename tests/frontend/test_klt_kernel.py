@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from ovmot.frontend import klt_kernel
-from ovmot.frontend.flow import build_pyramid
 from ovmot.frontend.klt_kernel import klt_track_compiled
+from ovmot.frontend.preprocessing import build_pyramid
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
@@ -20,7 +20,7 @@ _STOP = (
 )
 
 
-def picture(shift: tuple[float, float], turn_deg: float) -> Image:
+def painted(shift: tuple[float, float], turn_deg: float) -> Image:
     """Blobs and a flat corner, moved."""
     noise = np.random.default_rng(5).standard_normal((SIZE[1], SIZE[0]))
     soft = cv2.GaussianBlur(noise, (0, 0), 1.8)
@@ -36,7 +36,7 @@ def by_opencv(
     source: Image, target: Image, points: FloatArray, start: FloatArray, n_levels: int
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     p, q = points.astype(np.float32), start.astype(np.float32)
-    there, found, unlike = cv2.calcOpticalFlowPyrLK(
+    there, found, residual = cv2.calcOpticalFlowPyrLK(
         source, target, p, q, winSize=(WINDOW, WINDOW), maxLevel=n_levels - 1, criteria=_STOP,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=1e-3,
     )  # fmt: skip
@@ -47,7 +47,7 @@ def by_opencv(
     )  # fmt: skip
     returned = np.linalg.norm(back - p, axis=1) < klt_kernel.MAX_ROUND_TRIP_PX
     ok = (found.ravel() == 1) & (found_back.ravel() == 1) & returned
-    return there.astype(np.float64), ok, unlike.ravel().astype(np.float64)
+    return there.astype(np.float64), ok, residual.ravel().astype(np.float64)
 
 
 def well_inside(points: FloatArray) -> BoolArray:
@@ -59,8 +59,8 @@ def well_inside(points: FloatArray) -> BoolArray:
 def test_it_finds_what_opencv_finds(
     n_levels: int, shift: tuple[float, float], turn_deg: float
 ) -> None:
-    """On textured and flat ground, beyond the rim too; only what is in doubt may differ."""
-    source, target = picture((0.0, 0.0), 0.0), picture(shift, turn_deg)
+    """On textured and flat ground, beyond the border too; only what is in doubt may differ."""
+    source, target = painted((0.0, 0.0), 0.0), painted(shift, turn_deg)
     rng = np.random.default_rng(2)
     points = rng.uniform([-4.0, -4.0], [304.0, 224.0], (600, 2))
     start = points + 0.8 * np.array(shift) + rng.uniform(-1.0, 1.0, points.shape)
@@ -75,13 +75,15 @@ def test_it_finds_what_opencv_finds(
     both = found & expected[1]
     off = np.linalg.norm(uv - expected[0], axis=1)[both]
     assert np.median(off) < 1e-3
-    assert np.quantile(off[well_inside(points[both])], 0.99) < 0.01  # at the rim half of it is lost
+    assert (
+        np.quantile(off[well_inside(points[both])], 0.99) < 0.01
+    )  # at the border half of it is lost
     assert np.quantile(off, 0.9) < 0.02
     assert np.quantile(np.abs(photometric_residual - expected[2])[both], 0.95) < 0.05
 
 
 def test_the_plain_code_is_the_compiled_code() -> None:
-    source, target = picture((0.0, 0.0), 0.0), picture((1.3, -0.6), 0.0)
+    source, target = painted((0.0, 0.0), 0.0), painted((1.3, -0.6), 0.0)
     pyramids = build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels
     points = np.random.default_rng(4).uniform([20.0, 80.0], [280.0, 200.0], (10, 2))
     uv, found, photometric_residual = klt_kernel.klt_track(*pyramids, WINDOW, points, points, 3)
@@ -92,7 +94,7 @@ def test_the_plain_code_is_the_compiled_code() -> None:
 
 
 def test_wild_starts_are_not_found() -> None:
-    source = picture((0.0, 0.0), 0.0)
+    source = painted((0.0, 0.0), 0.0)
     levels = build_pyramid(source, SETTINGS).levels
     points = np.array([[150.0, 150.0], [1e9, 3.0], [150.0, 150.0], [-1e9, 1e9]])
     start = np.array([[1e12, 1e12], [5.0, 5.0], [-1e9, 150.0], [1e9, -1e9]])

@@ -1,4 +1,4 @@
-"""Cameras by themselves, on the painted pictures of two walls."""
+"""Cameras by themselves, on the painted images of two walls."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -9,10 +9,10 @@ import pytest
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.frontend import camera_tracker as points_module
-from ovmot.frontend.flow import Flow, Pyramid, follow
-from ovmot.frontend.front_ends import FRONT_ENDS, ImageFrontEnd
+from ovmot.frontend import FRONT_ENDS, ImageFrontEnd, klt_tracker
 from ovmot.frontend.monocular_tracker import MonocularTracker
+from ovmot.frontend.optical_flow import Flow, track_points
+from ovmot.frontend.preprocessing import Pyramid
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
@@ -21,8 +21,8 @@ from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame
 
 SETTINGS = TrackerSettings(
-    max_features=150, min_distance_px=10.0, fast_threshold=12, equalization="none",
-    klt_window_px=13, klt_levels=3,
+    max_features=150, fine_columns=16, fast_threshold=12, equalization="none",
+    klt_window_px=13, klt_levels=5,
 )  # fmt: skip
 STEP_M = 0.15
 FOCAL_PX = 200.0
@@ -43,7 +43,7 @@ def drive(
     n: int = 5,
     masks: Masks = (None, None),
 ) -> list[FrontendFrame]:
-    """The rig goes to its left, and the tracker is told."""
+    """The rig goes to its left, and the tracker knows."""
     out = []
     with closing(tracker):
         for i in range(n):
@@ -68,9 +68,7 @@ def test_the_left_camera_alone(painted_rig: StereoRig, painted_pair: Pair) -> No
     assert (seen.track_length == 2).sum() > 50
 
 
-def test_each_camera_follows_features_of_its_own(
-    painted_rig: StereoRig, painted_pair: Pair
-) -> None:
+def test_each_camera_tracks_features_of_its_own(painted_rig: StereoRig, painted_pair: Pair) -> None:
     driven = drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair)
     of_left: dict[int, bool] = {}
     for seen in driven:
@@ -112,17 +110,17 @@ def test_two_runs_are_equal_bit_for_bit(painted_rig: StereoRig, painted_pair: Pa
 def test_the_search_goes_on_from_two_views_and_the_motion(
     painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Told the motion, the third frame's search starts at the points; in both cameras."""
+    """With the motion predicted, the third frame's search starts at the points; in both cameras."""
     misses: list[FloatArray] = []
 
     def spy(
         source: Pyramid, target: Pyramid, points: FloatArray, start: FloatArray, *rest: object
     ) -> Flow:
-        flow = follow(source, target, points, start, *rest)  # type: ignore[arg-type]
+        flow = track_points(source, target, points, start, *rest)  # type: ignore[arg-type]
         misses.append(np.linalg.norm(start - flow.uv, axis=1)[flow.found])
         return flow
 
-    monkeypatch.setattr(points_module, "follow", spy)
+    monkeypatch.setattr(klt_tracker, "track_points", spy)
     drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair, n=3)
     _, _, left, right = misses
     assert np.median(misses[0]) > 3.0  # the first time nothing is known

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 
 from ovmot.frontend.patch_kernel import align_points, align_points_compiled
-from ovmot.frontend.patches import Patches, cut_patches, smoothed
+from ovmot.frontend.patches import Patches, cut_patches
+from ovmot.frontend.preprocessing import smoothed
 from ovmot.geometry.arrays import AnyArray, FloatArray, Image
 
 STEPS, SMALL, FAR = 8, 0.02, 3.0
@@ -15,7 +16,7 @@ ROOT_WEIGHT = np.exp(
 ).astype(np.float32)
 
 
-def picture(seed: int) -> Image:
+def painted(seed: int) -> Image:
     noise = np.random.default_rng(seed).standard_normal((120, 160))
     soft = cv2.GaussianBlur(noise, (0, 0), 2.0)
     return np.asarray(np.clip(128.0 + 45.0 * soft / soft.std(), 0, 255), dtype=np.uint8)
@@ -54,8 +55,8 @@ def twin(
 
 
 def test_compiled_and_plain_code_agree_with_the_twin() -> None:
-    source = smoothed(picture(1))
-    target = smoothed(np.roll(picture(1), (1, 2), axis=(0, 1)))
+    source = smoothed(painted(1))
+    target = smoothed(np.roll(painted(1), (1, 2), axis=(0, 1)))
     rng = np.random.default_rng(3)
     points = rng.uniform([2.0, 2.0], [157.0, 117.0], (40, 2))  # some at the border
     points[7] = np.nan
@@ -67,7 +68,7 @@ def test_compiled_and_plain_code_agree_with_the_twin() -> None:
         uv, warp = start.copy(), patches.warp.copy()
         correlation = function(
             target, patches.grey, patches.steepest, patches.inverse, ROOT_WEIGHT, OFFSETS,
-            uv, warp,            STEPS, SMALL, FAR,
+            uv, warp, STEPS, SMALL, FAR,
         )  # fmt: skip
         assert np.isnan(uv[7]).all()
         assert correlation[7] == 0.0

@@ -5,7 +5,13 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.prediction import fill_depths, predict_pixels, predict_right, unexplained_flow
+from ovmot.frontend.prediction import (
+    fill_depths,
+    flow_nearby,
+    predict_pixels,
+    predict_right,
+    unexplained_flow,
+)
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 
@@ -99,9 +105,23 @@ def test_with_too_few_known_depths_the_default_is_taken() -> None:
     assert fill_depths(uv[:0], depth[:0], 12.0).shape == (0,)
 
 
-def test_only_flow_that_is_not_the_camera_s_is_carried_on() -> None:
-    at_rest = np.zeros((4, 2))
+def test_only_flow_that_is_not_the_camera_s_is_predicted() -> None:
+    static_uv = np.zeros((4, 2))
     found = np.array([[3.0, 4.0], [3.0, 4.0], [500.0, 0.0], [np.nan, 1.0]])
     explained = np.array([True, False, False, False])
-    flow = unexplained_flow(found, at_rest, explained)
+    flow = unexplained_flow(found, static_uv, explained, 80.0)
     np.testing.assert_array_equal(flow, [[0.0, 0.0], [3.0, 4.0], [0.0, 0.0], [0.0, 0.0]])
+
+
+def test_lost_points_are_expected_where_their_neighbours_went() -> None:
+    """Seven of a body that goes 20 px right, one of them mismatched; the rest is static."""
+    uv = np.array([[10.0 * k, 50.0] for k in range(8)] + [[300.0, 50.0 + k] for k in range(9)])
+    static_uv, found = uv + 1.0, uv + 1.0
+    found[:7] += [20.0, 0.0]
+    found[2] += [0.0, 90.0]
+    ok = np.ones(len(uv), dtype=np.bool_)
+    ok[7] = False
+    start = flow_nearby(uv, static_uv, found, ok, 5.0)
+    np.testing.assert_allclose(start[7], static_uv[7] + [20.0, 0.0])
+    assert np.isnan(np.delete(start, 7, axis=0)).all()
+    assert np.isnan(flow_nearby(uv, static_uv, found, ok, 150.0)).all()  # nothing moves so far

@@ -1,4 +1,4 @@
-"""The stereo tracker on painted pictures whose depth and motion are known."""
+"""The stereo tracker on painted images whose depth and motion are known."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend import camera_tracker as points_module
-from ovmot.frontend import stereo_tracker as tracker_module
-from ovmot.frontend.flow import Pyramid, build_pyramid, follow
+from ovmot.frontend import klt_tracker, stereo_tracker
+from ovmot.frontend.optical_flow import track_points
+from ovmot.frontend.preprocessing import Pyramid, build_pyramid
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -21,8 +21,8 @@ from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
 
 TRACKER = TrackerSettings(
-    max_features=150, min_distance_px=10.0, fast_threshold=12, grid_cell_px=64,
-    equalization="none", klt_window_px=13, klt_levels=3, two_view_threshold_px=1.0,
+    max_features=150, fine_columns=16, fast_threshold=12,
+    equalization="none", klt_window_px=13, klt_levels=5, two_view_threshold_px=1.0,
 )  # fmt: skip
 GATE = EpipolarSettings(threshold_px=1.5, scale="angle")
 STEP_M = 0.15
@@ -65,7 +65,7 @@ def test_the_first_frame_has_new_corners_with_stereo_matches(driven: Seen) -> No
     assert (seen.track_length == 0).all()
     assert seen.two_view_inlier.all()
     both = np.isfinite(seen.pixels[:, 2])
-    assert both.mean() > 0.6  # at the picture's rim the right camera sees other things
+    assert both.mean() > 0.6  # at the image border the right camera sees other things
     disparity = seen.pixels[both, 0] - seen.pixels[both, 2]
     expected = 60.0 / np.array([5.0, 6.0, 8.0])
     near = np.abs(disparity[:, None] - expected).min(1)
@@ -113,7 +113,7 @@ def test_new_features_get_ids_never_used_before(driven: Seen) -> None:
         alive = ids
 
 
-def test_hops_count_the_frames(driven: Seen) -> None:
+def test_track_lengths_count_the_frames(driven: Seen) -> None:
     born: dict[int, int] = {}
     for i, (seen, _) in enumerate(driven):
         for feature, track_length in zip(
@@ -123,7 +123,9 @@ def test_hops_count_the_frames(driven: Seen) -> None:
     assert max(seen.track_length.max() for seen, _ in driven) == len(driven) - 1
 
 
-def test_plane_coordinates_are_those_of_the_pixels(driven: Seen, painted_rig: StereoRig) -> None:
+def test_normalized_coordinates_are_those_of_the_pixels(
+    driven: Seen, painted_rig: StereoRig
+) -> None:
     for seen, _ in driven:
         np.testing.assert_array_equal(
             seen.normalized[:, :2], painted_rig.cam0.normalize(seen.pixels[:, :2])
@@ -149,25 +151,23 @@ def test_two_runs_are_equal_bit_for_bit(
 
 def test_a_large_motion_needs_the_prediction(painted_rig: StereoRig, painted_pair: Pair) -> None:
     """40 to 64 px between two frames: found with the predicted motion, lost without."""
-    settings = TRACKER.model_copy(update={"klt_near_levels": 1, "klt_levels": 1})
+    settings = TRACKER.model_copy(update={"klt_levels": 1, "fine_columns": 32})
     share = {}
-    for told in (0.0, 1.6):
+    for predicted in (0.0, 1.6):
         with tracker_of(painted_rig, settings) as tracker:
             first, _ = tracker.track(painted_pair(0, 0.0), np.eye(4), no_feedback(painted_rig))
             second, _ = tracker.track(
-                painted_pair(10**8, 1.6), sideways(told), no_feedback(painted_rig)
+                painted_pair(10**8, 1.6), sideways(predicted), no_feedback(painted_rig)
             )
         in_both = first.pixels[:, 0] < 320 - 75
         kept = np.isin(first.feature_id[in_both], second.feature_id)
-        share[told] = kept.mean()
+        share[predicted] = kept.mean()
     assert share[1.6] > 0.6
     assert share[0.0] < 0.3
 
 
-def test_a_body_that_moves_by_itself_is_followed(
-    painted_rig: StereoRig, painted_pair: Pair
-) -> None:
-    """The same patch at the same columns of every picture, ten rows lower each time."""
+def test_a_body_that_moves_by_itself_is_tracked(painted_rig: StereoRig, painted_pair: Pair) -> None:
+    """The same patch at the same columns of every image, ten rows lower each time."""
     still = painted_pair(0, 0.0)
 
     def falling(i: int) -> StereoFrame:
@@ -202,7 +202,7 @@ def test_the_verdict_of_the_two_view_test_is_passed_on(
         verdicts.append(np.arange(len(before)) % 3 > 0)
         return verdicts[-1]
 
-    monkeypatch.setattr(points_module, "two_view_inliers", every_third)
+    monkeypatch.setattr(klt_tracker, "two_view_inliers", every_third)
     driven = drive(painted_rig, painted_pair)
     assert len(verdicts) == len(driven) - 1
     for (seen, _), verdict in zip(driven[1:], verdicts, strict=True):
@@ -228,14 +228,14 @@ def test_a_rig_displaced_diagonally_is_matched(painted_rig: StereoRig, painted_p
     assert np.isfinite(seen.pixels[clear, 2]).mean() > 0.9
 
 
-def test_no_refused_match_leaves_the_tracker(painted_rig: StereoRig, painted_pair: Pair) -> None:
-    """A part of the right picture stands 6 px too high: what is matched there is refused."""
+def test_no_rejected_match_leaves_the_tracker(painted_rig: StereoRig, painted_pair: Pair) -> None:
+    """A part of the right image stands 6 px too high: what is matched there is rejected."""
     driven = drive(painted_rig, painted_pair, lift=6)
-    n_refused = 0
+    n_rejected = 0
     for seen, matches in driven:
-        refused = matches.feature_id[~matches.accepted]
-        n_refused += len(refused)
-        row = np.searchsorted(np.sort(seen.feature_id), refused)
+        rejected = matches.feature_id[~matches.accepted]
+        n_rejected += len(rejected)
+        row = np.searchsorted(np.sort(seen.feature_id), rejected)
         row = np.argsort(seen.feature_id)[row]
         assert np.isnan(seen.pixels[row, 2:]).all()
         assert np.isnan(seen.normalized[row, 2:]).all()
@@ -244,14 +244,14 @@ def test_no_refused_match_leaves_the_tracker(painted_rig: StereoRig, painted_pai
         assert np.median(matches.distance_px[~matches.accepted]) == pytest.approx(6.0, abs=0.5)
         paired = np.isfinite(seen.pixels[:, 2])
         assert set(seen.feature_id[paired]) == set(matches.feature_id[matches.accepted])
-    assert n_refused > 40
-    # as a monocular track: refused again and again, and followed all the same
+    assert n_rejected > 40
+    # as a monocular track: rejected again and again, and tracked all the same
     last, matches = driven[-1]
-    refused_now = np.isin(last.feature_id, matches.feature_id[~matches.accepted])
-    assert last.track_length[refused_now].max() == len(driven) - 1
+    rejected_now = np.isin(last.feature_id, matches.feature_id[~matches.accepted])
+    assert last.track_length[rejected_now].max() == len(driven) - 1
 
 
-def test_a_refused_match_gives_no_depth_to_the_next_frame(
+def test_a_rejected_match_gives_no_depth_to_the_next_frame(
     painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     used: list[FloatArray] = []
@@ -260,7 +260,7 @@ def test_a_refused_match_gives_no_depth_to_the_next_frame(
         used.append(normalized)
         return triangulate_stereo(normalized, T_cam1_cam0)
 
-    monkeypatch.setattr(tracker_module, "triangulate_stereo", spy)
+    monkeypatch.setattr(stereo_tracker, "triangulate_stereo", spy)
     driven = drive(painted_rig, painted_pair, lift=6)
     right = {
         tuple(xy)
@@ -274,10 +274,10 @@ def test_a_refused_match_gives_no_depth_to_the_next_frame(
     assert not right & given
 
 
-def test_wrong_matches_of_any_kind_are_refused(
+def test_wrong_matches_of_any_kind_are_rejected(
     painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The flow into the right picture itself gives wrong points: every fifth one, 9 px off."""
+    """The flow into the right image itself gives wrong points: every fifth one, 9 px off."""
     frames = [painted_pair(10**8 * i, STEP_M * i) for i in range(4)]
     rights = [build_pyramid(frame.right, TRACKER).levels[0] for frame in frames]
 
@@ -285,12 +285,12 @@ def test_wrong_matches_of_any_kind_are_refused(
         source: Pyramid, target: Pyramid, points: FloatArray, start: FloatArray,
         settings: TrackerSettings, workers: ThreadPoolExecutor,
     ) -> object:  # fmt: skip
-        flow = follow(source, target, points, start, settings, workers)
+        flow = track_points(source, target, points, start, settings, workers)
         if any(np.array_equal(target.levels[0], right) for right in rights):
             flow.uv[::5, 1] += 9.0
         return flow
 
-    monkeypatch.setattr(tracker_module, "follow", lying)
+    monkeypatch.setattr(stereo_tracker, "track_points", lying)
     with tracker_of(painted_rig) as tracker:
         for i, frame in enumerate(frames):
             seen, matches = tracker.track(

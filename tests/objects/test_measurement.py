@@ -10,6 +10,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.objects import measurement, static_motion
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.segmentation.stereo_history import StereoHistory, stereo_history
 from ovmot.settings import ObjectSettings, SegmentationSettings
@@ -52,7 +53,8 @@ def seen(
         table, points, window = scene_of(rig, T, np.concatenate(parts, axis=1), SIGMA, rng)
         points = replace(points, label=np.full_like(points.label, int(label)))
         return measure_objects(
-            history_of(table, points, window, rig), points, window, rig, settings, 60.0,
+            history_of(table, points, window, rig), points, window, rig, settings,
+            SegmentationSettings(),
             np.random.default_rng(1),
         )  # fmt: skip
 
@@ -119,21 +121,24 @@ def test_what_stands_is_refused_whatever_its_label(seen: Callable[..., Found], t
 
 
 def test_a_far_body_is_measured_though_only_what_crosses_is_known(
-    seen: Callable[..., Found],
+    seen: Callable[..., Found], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    noisy = CALM.model_copy(update={"max_speed_sigma_mps": 0.2})
-    (found,) = seen([(35.0, 0.0, np.array([0.0, 8.0, 0.0]), 0.0, 8)], settings=noisy)
+    for module in (measurement, static_motion):
+        monkeypatch.setattr(module, "MAX_SIGMA_MPS", 0.2)
+    (found,) = seen([(35.0, 0.0, np.array([0.0, 8.0, 0.0]), 0.0, 8)])
     sigma = np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1])
-    assert sigma > noisy.max_speed_sigma_mps
+    assert sigma > 0.2
     assert found.velocity[1] == pytest.approx(8.0, abs=0.5)
-    assert seen([(35.0, 0.0, np.array([8.0, 0.0, 0.0]), 0.0, 8)], settings=noisy) == ()
+    assert seen([(35.0, 0.0, np.array([8.0, 0.0, 0.0]), 0.0, 8)]) == ()
 
 
-def test_what_is_high_up_is_no_road_user(seen: Callable[..., Found]) -> None:
+def test_what_is_high_up_is_no_road_user(
+    seen: Callable[..., Found], monkeypatch: pytest.MonkeyPatch
+) -> None:
     bodies = [(20.0, 0.0, np.array([0.0, 5.0, 0.0]), 0.0, 12)]
     assert len(seen(bodies)) == 1
-    low = CALM.model_copy(update={"max_height_m": -3.0})  # as if the road were 7.5 m lower
-    assert seen(bodies, settings=low) == ()
+    monkeypatch.setattr(measurement, "MAX_VEHICLE_SIZE_M", (0.0, 0.0, -3.0))  # a road far below
+    assert seen(bodies) == ()
 
 
 def test_two_points_are_no_body(seen: Callable[..., Found]) -> None:
@@ -178,7 +183,8 @@ def test_uncertain_poses_widen_the_velocity(
     sure, unsure = (
         measure_objects(
             history_of(table, points, window, rig), points,
-            replace(window, covariance=window.covariance * scale), rig, CALM, 60.0,
+            replace(window, covariance=window.covariance * scale), rig, CALM,
+            SegmentationSettings(),
             np.random.default_rng(1),
         )[0]
         for scale in (1e-6, 1e2)

@@ -4,56 +4,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from object_fixtures import FRAME_NS, feature_motions, make_track, scene_points
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.feature_motions import FeatureMotions
-from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.point_labels import Speeds, label_points, speeds_of
-from ovmot.objects.track import Track, TrackState, start_track
+from ovmot.objects.track import Track, TrackState
 from ovmot.types import PointLabel, ScenePoints
 
 UNKNOWN, STATIC, DYNAMIC = (int(k) for k in PointLabel)
-FRAME_NS = 100_000_000
 NOTHING_BEFORE = speeds_of(0, ())
 
 
 def track(
     velocity: FloatArray, sigma: float = 0.1, state: TrackState = TrackState.CONFIRMED
 ) -> Track:
-    P = np.diag(np.repeat([0.1, sigma], 3) ** 2)
-    nothing = np.empty(0, dtype=np.int64)
-    made = start_track(7, FRAME_NS, ObjectMeasurement(
-        feature_id=nothing, p_world=np.empty((0, 3)), position=np.zeros(3), velocity=velocity,
-        yaw_rate=0.0, T_now_before=np.eye(4), span_s=0.1, covariance=P,
-        excess=np.zeros((6, 6)), yaw_rate_variance=0.01,
-        size=np.array([4.0, 1.8, 1.5]),
-    ))  # fmt: skip
-    return replace(made, state=state)
+    return make_track(velocity=list(velocity), state=state, sigma=sigma)
 
 
 def seen(label: int, n: int = 1) -> ScenePoints:
-    two, one = np.full((n, 2), np.nan), np.full(n, np.nan)
-    return ScenePoints(
-        feature_id=np.arange(n), pixels=np.full((n, 4), np.nan),
-        p_cam0=np.full((n, 3), np.nan), cov_cam0=np.full((n, 3, 3), np.nan),
-        label=np.full(n, label), track_id=np.full(n, -1),
-        previous=two, predicted=two, distance_m=one, reprojection_px=one,
-        two_view_inlier=np.ones(n, dtype=np.bool_),
-    )  # fmt: skip
+    return scene_points([label] * n)
 
 
 def motions(velocity: FloatArray, x_m: float = 0.0) -> FeatureMotions:
-    """Features with velocities (N, 3), known to 0.3 m/s, ahead of the track's middle."""
-    n = len(velocity)
-    C = np.broadcast_to(0.09 * np.eye(3), (n, 3, 3))
-    p_world = np.tile([x_m, 0.0, 0.0], (n, 1))
-    return FeatureMotions(np.arange(n), p_world, C, velocity, C, np.zeros(n))
+    """Features with velocities (N, 3), known to 0.3 m/s, ahead of the track's centre."""
+    return feature_motions(velocity, np.tile([x_m, 0.0, 0.0], (len(velocity), 1)))
 
 
-def label_of(body: Track, before: Speeds = NOTHING_BEFORE, split: int = STATIC) -> int:
+def label_of(body: Track, before: Speeds = NOTHING_BEFORE, segmented: int = STATIC) -> int:
     """The label of a point that goes as its track does."""
     points = label_points(
-        FRAME_NS, seen(split), np.array([7]), [body], motions(body.velocity[None]), before
+        FRAME_NS, seen(segmented), np.array([7]), [body], motions(body.velocity[None]), before
     )
     return int(points.label[0])
 
@@ -72,7 +53,7 @@ def label_of(body: Track, before: Speeds = NOTHING_BEFORE, split: int = STATIC) 
 )
 def test_a_point_does_what_its_track_does(speed: float, sigma: float, label: int) -> None:
     assert label_of(track(np.array([0.0, speed, 0.0]), sigma)) == label
-    assert label_of(track(np.array([0.0, speed, 0.0]), sigma), split=DYNAMIC) == label
+    assert label_of(track(np.array([0.0, speed, 0.0]), sigma), segmented=DYNAMIC) == label
 
 
 @pytest.mark.parametrize(("before", "label"), [(1.6, STATIC), (1.45, UNKNOWN), (1.23, DYNAMIC)])
@@ -102,7 +83,7 @@ def test_beside_a_body_points_rest() -> None:
 
 @pytest.mark.parametrize(("x_m", "label"), [(1.0, UNKNOWN), (9.0, STATIC)])
 def test_where_a_body_moves_rest_must_be_seen(x_m: float, label: int) -> None:
-    """What the split took for static, and is no track's, may be a part of the body."""
+    """A point segmented as static, and is no track's, may be a part of the body."""
     body = track(np.array([2.0, 0.0, 0.0]))
     v = np.array([[1.9, 0.0, 0.0], [0.2, 0.0, 0.0], [np.nan] * 3])
     arguments = np.full(3, -1), [body], motions(v, x_m), NOTHING_BEFORE

@@ -13,7 +13,7 @@ from ovmot.objects.refinement import BodyViews, refine_bodies
 from ovmot.settings import ObjectSettings
 from ovmot.types import PixelNoise
 
-PRIOR = ObjectSettings()
+SETTINGS = ObjectSettings()
 NOISE = PixelNoise(0.3, 0.0, 0.0)
 TURN = np.ones(2, dtype=np.bool_)
 TWIST = np.array([[0.0, 0.0, 0.2, 4.0, -1.0, 0.1], [0.02, -0.01, -0.3, -8.0, 0.5, 0.0]])
@@ -52,11 +52,11 @@ def views(
 def test_without_noise_the_motion_and_the_points_are_exact(
     rig: StereoRig, views: Callable[..., BodyViews]
 ) -> None:
-    prior = PRIOR.model_copy(update={"yaw_rate_sigma_rps": 1e4, "tilt_rate_sigma_rps": 1e4})
+    weak = SETTINGS.model_copy(update={"yaw_rate_sigma_rps": 1e4, "tilt_rate_sigma_rps": 1e4})
     given = views(0.0, 2)
     start = TWIST + np.array([0.0, 0.0, 0.1, 0.5, -0.5, 0.2])
     p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, start, p_cam0 * 1.02, TURN, rig, prior, NOISE)
+    refined = refine_bodies(given, start, p_cam0 * 1.02, TURN, rig, weak, NOISE)
     np.testing.assert_allclose(refined.twist, TWIST, atol=1e-4)
     p_world = se3.apply(given.T_world_cam0[-1, 0], p_cam0)
     np.testing.assert_allclose(refined.p_world, p_world, atol=1e-4)
@@ -70,8 +70,8 @@ def test_refined_velocities_beat_stereo_alone_and_know_their_errors(
     for seed in range(40):
         given = views(0.3, 10 + seed)
         p = triangulate_stereo(given.seen, rig.T_cam1_cam0)
-        prior = PRIOR.model_copy(update={"yaw_rate_sigma_rps": 5.0, "tilt_rate_sigma_rps": 5.0})
-        refined = refine_bodies(given, TWIST, p[-1], TURN, rig, prior, NOISE)
+        weak = SETTINGS.model_copy(update={"yaw_rate_sigma_rps": 5.0, "tilt_rate_sigma_rps": 5.0})
+        refined = refine_bodies(given, TWIST, p[-1], TURN, rig, weak, NOISE)
         e = refined.twist[:, 3:] - TWIST[:, 3:]
         errors.append(np.linalg.norm(e, axis=1))
         nees.append(np.einsum("bi,bij,bj->b", e, np.linalg.inv(refined.covariance[:, 3:, 3:]), e))
@@ -91,10 +91,10 @@ def test_bodies_that_may_not_turn_keep_to_the_translation(
     given = views(0.3, 6)
     start = np.concatenate([np.zeros((2, 3)), TWIST[:, 3:]], axis=1)
     p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, start, p_cam0, np.array([True, False]), rig, PRIOR, NOISE)
+    refined = refine_bodies(given, start, p_cam0, np.array([True, False]), rig, SETTINGS, NOISE)
     sigma = np.sqrt(refined.covariance[:, 2, 2])
     assert abs(refined.twist[0, 2] - TWIST[0, 2]) < 0.15
-    assert sigma[1] < PRIOR.tilt_rate_sigma_rps
+    assert sigma[1] < SETTINGS.tilt_rate_sigma_rps
     assert abs(refined.twist[1, 2]) < 0.7 * abs(TWIST[1, 2])
 
 
@@ -102,7 +102,7 @@ def test_a_wrong_match_is_left_out(rig: StereoRig, views: Callable[..., BodyView
     given = views(0.3, 3)
     given.seen[0, 4] += np.array([0.05, 0.02, 0.05, 0.02])
     p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, TWIST, p_cam0, TURN, rig, PRIOR, NOISE)
+    refined = refine_bodies(given, TWIST, p_cam0, TURN, rig, SETTINGS, NOISE)
     assert not refined.inlier[4]
     assert refined.inlier.sum() >= 18
     assert np.linalg.norm(refined.twist[0, 3:] - TWIST[0, 3:]) < 0.6

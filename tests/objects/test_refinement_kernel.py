@@ -11,7 +11,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.refinement_kernel import (
     Reduced,
-    Sightings,
+    WeightedViews,
     reduce_points,
     reduce_points_compiled,
     through_body,
@@ -27,7 +27,7 @@ def rotated(twist: FloatArray) -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def seen(rig: StereoRig) -> tuple[FloatArray, Sightings]:
+def seen(rig: StereoRig) -> tuple[FloatArray, WeightedViews]:
     """Points (M, 3) of two bodies, off where three noisy views see them."""
     rng = np.random.default_rng(6)
     body = np.repeat([0, 1], N)
@@ -48,13 +48,13 @@ def seen(rig: StereoRig) -> tuple[FloatArray, Sightings]:
     point = np.column_stack([p_now[:, :2], np.ones(2 * N)]) / p_now[:, 2:]
     point += rng.normal(0.0, 1e-3, point.shape)
     focal = np.array([700.0, 710.0, 705.0, 715.0])
-    return point, Sightings(
+    return point, WeightedViews(
         uv, weight[0], weight[1], body, span, into_view, T[-1].copy(),
         np.ascontiguousarray(rig.T_cam1_cam0), focal,
     )  # fmt: skip
 
 
-def rows_of(point: FloatArray, twist: FloatArray, s: Sightings, v: int, n: int) -> FloatArray:
+def rows_of(point: FloatArray, twist: FloatArray, s: WeightedViews, v: int, n: int) -> FloatArray:
     """The kernel's rows (4, 10) of one view of a point."""
     b = s.body[n]
     C, J, rows = np.empty((3, 4)), np.empty((6, 3)), np.empty((4, 10))
@@ -63,7 +63,7 @@ def rows_of(point: FloatArray, twist: FloatArray, s: Sightings, v: int, n: int) 
     return rows
 
 
-def residual(point: FloatArray, twist: FloatArray, s: Sightings, v: int, n: int) -> FloatArray:
+def residual(point: FloatArray, twist: FloatArray, s: WeightedViews, v: int, n: int) -> FloatArray:
     """In standard deviations (4,), by the exponential itself."""
     b = s.body[n]
     T = s.into_view[v, b] @ se3.exp(-s.span_s[v, b] * twist[b]) @ s.out_of_now[b]
@@ -75,7 +75,7 @@ def residual(point: FloatArray, twist: FloatArray, s: Sightings, v: int, n: int)
 
 @pytest.mark.parametrize(("v", "n"), [(0, 0), (0, N), (1, 1), (1, N + 2), (2, 4)])
 def test_derivatives_are_those_of_finite_differences(
-    seen: tuple[FloatArray, Sightings], v: int, n: int
+    seen: tuple[FloatArray, WeightedViews], v: int, n: int
 ) -> None:
     point, s = seen
     rows = rows_of(point, TWIST, s, v, n)
@@ -93,7 +93,7 @@ def test_derivatives_are_those_of_finite_differences(
 
 @pytest.mark.parametrize("reduce", [reduce_points, reduce_points_compiled])
 def test_points_are_eliminated_as_in_the_twin(
-    seen: tuple[FloatArray, Sightings], reduce: Callable[..., Reduced]
+    seen: tuple[FloatArray, WeightedViews], reduce: Callable[..., Reduced]
 ) -> None:
     point, s = seen
     huber, bound = np.full(2 * N, 2.0), np.full(2 * N, 30.0)
@@ -109,9 +109,9 @@ def test_points_are_eliminated_as_in_the_twin(
         left = r - A @ N_inverse @ A.T @ r
         K = J.T @ A @ N_inverse
         np.testing.assert_allclose(out.N_inverse[n], N_inverse, rtol=1e-6, atol=1e-14)
-        np.testing.assert_allclose(out.shift[n], N_inverse @ A.T @ r, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(out.step[n], N_inverse @ A.T @ r, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(out.K[n], K, rtol=1e-6, atol=1e-10)
-        np.testing.assert_allclose(out.left[n], left @ left, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(out.cost[n], left @ left, rtol=1e-6, atol=1e-9)
         if left @ left < bound[n]:
             w = min(1.0, huber[n] / np.sqrt(left @ left))
             information[s.body[n]] += w * (J.T @ J - K @ A.T @ J)

@@ -10,10 +10,11 @@ from ovmot.objects.static_motion import (
     is_static_by_thresholds,
     known_part,
 )
-from ovmot.settings import ObjectSettings
+from ovmot.settings import ObjectSettings, SegmentationSettings
 
 POINTS = np.array([[-1.0, 0.2, 15.0], [0.5, -0.3, 15.5], [0.2, 0.6, 16.0], [0.9, 0.1, 15.2]])
-TOLD = ObjectSettings(alpha_m=0.1, beta_m=0.4, gamma_px_m=15.0, delta_px=2.0, depth_weight=0.3)
+SETTINGS = ObjectSettings(alpha_m=0.1, beta_m=0.4, gamma_px_m=15.0, delta_px=2.0)
+OF_POINTS = SegmentationSettings(depth_weight=0.3)
 
 
 def _shifted(shift: list[float], points: np.ndarray = POINTS) -> FoundMotion:
@@ -27,7 +28,7 @@ def test_covariance_decides_by_the_share_of_noise(
 ) -> None:
     # 1 m/s at 21.1 = 99.99 % of chi-squared with 3 degrees of freedom: 4.59 sigmas
     motion = FoundMotion(np.array([1.0, 0.0, 0.0]), sigma**2 * np.eye(3), POINTS, POINTS)
-    assert is_static_by_covariance(motion, rig, TOLD) is static
+    assert is_static_by_covariance(motion, rig, SETTINGS, OF_POINTS) is static
 
 
 def test_directions_in_which_little_is_known_do_not_count(rig: StereoRig) -> None:
@@ -38,26 +39,30 @@ def test_directions_in_which_little_is_known_do_not_count(rig: StereoRig) -> Non
     assert np.linalg.norm(known) == pytest.approx(2.0)
     np.testing.assert_allclose(variance, 0.01)
     along = FoundMotion(40.0 * ray, C, POINTS, POINTS)  # eight sigmas, that mean nothing there
-    assert is_static_by_covariance(along, rig, TOLD)
-    assert not is_static_by_covariance(FoundMotion(2.0 * across, C, POINTS, POINTS), rig, TOLD)
-    assert is_static_by_covariance(FoundMotion(across, 9.0 * np.eye(3), POINTS, POINTS), rig, TOLD)
+    assert is_static_by_covariance(along, rig, SETTINGS, OF_POINTS)
+    assert not is_static_by_covariance(
+        FoundMotion(2.0 * across, C, POINTS, POINTS), rig, SETTINGS, OF_POINTS
+    )
+    assert is_static_by_covariance(
+        FoundMotion(across, 9.0 * np.eye(3), POINTS, POINTS), rig, SETTINGS, OF_POINTS
+    )
 
 
 def test_thresholds_want_metres_and_pixels(rig: StereoRig) -> None:
     # α + β/4 = 0.2 m across the ray; 406 px x 0.21 / 15.4 = 5.5 px against 15/15.4 + 2/4 = 1.5 px
-    assert not is_static_by_thresholds(_shifted([0.21, 0.0, 0.0]), rig, TOLD)
-    assert is_static_by_thresholds(_shifted([0.19, 0.0, 0.0]), rig, TOLD)
+    assert not is_static_by_thresholds(_shifted([0.21, 0.0, 0.0]), rig, SETTINGS, OF_POINTS)
+    assert is_static_by_thresholds(_shifted([0.19, 0.0, 0.0]), rig, SETTINGS, OF_POINTS)
     # along the ray: metres count 0.3, and the picture hardly changes
-    assert is_static_by_thresholds(_shifted([0.0, 0.0, 0.6]), rig, TOLD)
-    assert not is_static_by_thresholds(_shifted([0.0, 0.0, 3.0]), rig, TOLD)
+    assert is_static_by_thresholds(_shifted([0.0, 0.0, 0.6]), rig, SETTINGS, OF_POINTS)
+    assert not is_static_by_thresholds(_shifted([0.0, 0.0, 3.0]), rig, SETTINGS, OF_POINTS)
 
 
 def test_few_points_must_show_more(rig: StereoRig) -> None:
     shift = [0.22, 0.0, 0.0]
-    assert not is_static_by_thresholds(_shifted(shift), rig, TOLD)
-    assert is_static_by_thresholds(_shifted(shift, POINTS[:3]), rig, TOLD)
+    assert not is_static_by_thresholds(_shifted(shift), rig, SETTINGS, OF_POINTS)
+    assert is_static_by_thresholds(_shifted(shift, POINTS[:3]), rig, SETTINGS, OF_POINTS)
 
 
 def test_pixels_alone_can_refuse(rig: StereoRig) -> None:
-    strict = TOLD.model_copy(update={"gamma_px_m": 150.0})
-    assert is_static_by_thresholds(_shifted([0.21, 0.0, 0.0]), rig, strict)
+    strict = SETTINGS.model_copy(update={"gamma_px_m": 150.0})
+    assert is_static_by_thresholds(_shifted([0.21, 0.0, 0.0]), rig, strict, OF_POINTS)

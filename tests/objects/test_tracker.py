@@ -10,7 +10,7 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.association import associate
+from ovmot.objects import output
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.settings import ObjectTrackSettings
@@ -74,7 +74,7 @@ def measure(
     return ObjectMeasurement(
         feature_id=body.feature_id, p_world=body.points + position, position=position + e[:3],
         velocity=velocity + e[3:], yaw_rate=body.yaw_rate + rng.normal(0.0, 0.05),
-        T_now_before=np.eye(4), span_s=0.1, covariance=P, excess=np.zeros((6, 6)),
+        T_now_before=np.eye(4), span_s=0.1, covariance=P, scaled_covariance=P,
         yaw_rate_variance=0.05**2, size=SIZE,
     )  # fmt: skip
 
@@ -109,7 +109,7 @@ def run(
         t = 1e-9 * k * frame_ns
         found = [m for body in bodies if (m := measure(body, t, rng)) is not None]
         tracks, points = tracker.step(
-            k * frame_ns, found, scene_points(bodies, t, rng), T_WORLD_CAM0
+            k * frame_ns, found, scene_points(bodies, t, rng), T_WORLD_CAM0, 0.5
         )
         out.append((t, tracks, points.track_id))
     return out
@@ -175,14 +175,16 @@ def test_an_occluded_body_keeps_its_id() -> None:
     hidden = body(10.0, -8.0, 0.5, 6.0, hidden_s=(1.0, 2.5))
     after = replace(hidden, first_id=100)  # what comes back has new features
     rng = np.random.default_rng(3)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(place_sigma_m=0.5))
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     states = []
     for k in range(40):
         t = 0.1 * k
         now = hidden if t < 2.0 else after
         measurement = measure(now, t, rng)
         found = [] if measurement is None else [measurement]
-        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([now], t, rng), T_WORLD_CAM0)
+        tracks, _ = tracker.step(
+            k * FRAME_NS, found, scene_points([now], t, rng), T_WORLD_CAM0, 0.5
+        )
         assert {track.track_id for track in tracks} <= {0}
         states.append(tracks[0].state if tracks else "gone")
     coasts = states.index("coasting")
@@ -221,17 +223,21 @@ def test_a_body_that_has_left_is_not_found_again_by_a_few_features() -> None:
             measurement = None if seen_again is None else _few(seen_again)
         found = [] if measurement is None else [measurement]
         nothing = scene_points([], 0.0, rng)
-        tracks, _ = tracker.step(k * FRAME_NS, found, nothing, T_WORLD_CAM0)
+        tracks, _ = tracker.step(k * FRAME_NS, found, nothing, T_WORLD_CAM0, 0.5)
     assert [(track.track_id, track.state) for track in tracks] == [
         (0, "coasting"),
         (1, "tentative"),
     ]
 
 
-def test_features_of_one_camera_go_on_with_a_body() -> None:
+def test_features_of_one_camera_go_on_with_a_body(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Without a measurement and without stereo: it goes behind what only the right camera sees."""
     rng = np.random.default_rng(5)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(missed_s=0.0, place_sigma_m=0.0))
+    monkeypatch.setattr(output, "_MISSED_S", -1.0)
+    monkeypatch.setattr(output, "_KNOWN_SIGMA_M", 0.0)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     walker = body(10.0, -2.0, 0.0, 1.5)
     for k in range(20):
         t = 0.1 * k
@@ -240,16 +246,20 @@ def test_features_of_one_camera_go_on_with_a_body() -> None:
         if k >= 10:
             points = replace(points, p_cam0=np.full_like(points.p_cam0, np.nan))
         found = [] if measurement is None else [measurement]
-        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0)
+        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0, 0.5)
     assert track.state == "confirmed"
     assert np.linalg.norm(track.velocity - [0.0, 1.5, 0.0]) < 0.4
     assert np.linalg.norm(track.position - walker.motion(1.9)[0]) < 0.5
 
 
-def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray() -> None:
+def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What stands there would look the same: only stereo tells."""
     rng = np.random.default_rng(5)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(missed_s=0.0, place_sigma_m=0.0))
+    monkeypatch.setattr(output, "_MISSED_S", -1.0)
+    monkeypatch.setattr(output, "_KNOWN_SIGMA_M", 0.0)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     ahead = body(15.0, 0.0, 5.0, 0.0, stops_at_s=0.9)
     for k in range(20):
         t = 0.1 * k
@@ -258,7 +268,7 @@ def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray() -> None
         if k >= 10:
             points = replace(points, p_cam0=np.full_like(points.p_cam0, np.nan))
         found = [] if measurement is None else [measurement]
-        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0)
+        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0, 0.5)
     assert track.state == "coasting"
 
 
@@ -271,7 +281,7 @@ def test_features_left_behind_do_not_stop_a_fast_body() -> None:
         measurement = measure(car, now, rng) if k <= 10 else None
         found = [] if measurement is None else [measurement]
         points = scene_points([car], now, rng)
-        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0)
+        (track,), _ = tracker.step(k * FRAME_NS, found, points, T_WORLD_CAM0, 0.5)
     assert track.velocity[1] > 4.0
 
 
@@ -307,7 +317,7 @@ def test_few_features_measured_once_are_never_confirmed() -> None:
             ghost = body(x, y, vx, vy, 20 * k)
             ghost_seen = measure(ghost, 0.0, rng)
             found = [] if ghost_seen is None else [_few(ghost_seen)]
-        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([], 0.0, rng), T_WORLD_CAM0)
+        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points([], 0.0, rng), T_WORLD_CAM0, 0.5)
         assert not confirmed(tracks)
 
 
@@ -322,7 +332,9 @@ def test_two_tracks_on_one_body_become_one() -> None:
         t = 0.1 * k
         halves = [whole, front] if k < 4 else [whole]
         found = [m for b in halves if (m := measure(b, t, rng)) is not None]
-        tracks, _ = tracker.step(k * FRAME_NS, found, scene_points(halves, t, rng), T_WORLD_CAM0)
+        tracks, _ = tracker.step(
+            k * FRAME_NS, found, scene_points(halves, t, rng), T_WORLD_CAM0, 0.5
+        )
         counts.append(len(tracks))
     assert max(counts) == 2
     assert counts[-1] == 1
@@ -342,19 +354,3 @@ def test_the_velocity_is_as_sure_as_it_says() -> None:
 def test_nothing_to_track() -> None:
     frames = run([], 0.5)
     assert all(tracks == () and len(owner) == 0 for _, tracks, owner in frames)
-
-
-def test_shared_features_and_gates_decide() -> None:
-    far = np.array([[30.0, 900.0], [900.0, 500.0]])
-    share, count = np.array([[0.9, 0.0], [0.0, 0.9]]), np.array([[5, 0], [0, 5]])
-    assert associate(far, share, count) == [(0, 0)]  # the second pair is absurdly far
-    assert associate(np.full((1, 1), 5.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == [(0, 0)]
-    assert associate(np.full((1, 1), 100.0), np.zeros((1, 1)), np.zeros((1, 1), int)) == []
-
-
-def test_no_track_gives_way_to_make_another_pair_possible() -> None:
-    # the first track has nine tenths of the second body; a new one has a feature there as well,
-    # and the first body is within the first track's gate
-    distance = np.array([[20.0, 1.0], [500.0, 20.0]])
-    share = np.array([[0.0, 0.9], [0.0, 0.1]])
-    assert associate(distance, share, np.zeros((2, 2), dtype=np.int64)) == [(0, 1)]

@@ -55,8 +55,8 @@ def test_content(tmp_path: Path) -> None:
 
 def test_a_path_that_is_no_text_comes_back(tmp_path: Path) -> None:
     strange = "data/\udcff"  # a byte of a name that is not UTF-8, as Python holds it
-    told = summary()
-    write_run_json(tmp_path, replace(told, source=replace(told.source, path=strange)))
+    found = summary()
+    write_run_json(tmp_path, replace(found, source=replace(found.source, path=strange)))
     assert json.loads((tmp_path / "run.json").read_text())["input"]["path"] == strange
 
 

@@ -1,4 +1,4 @@
-"""Tracks in the picture: boxes where the geometry puts them, trails, and what is cut off."""
+"""Tracks in the image: boxes where the geometry puts them, trails, and what is cut off."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,14 +50,14 @@ def blank() -> Image:
 def drawn(
     track: ObjectTrack, camera: Camera, trails: Trails | None = None, scale: float = 1.0
 ) -> Image:
-    picture = np.zeros((round(scale * HEIGHT), round(scale * WIDTH), 3), dtype=np.uint8)
-    draw_tracks(picture, [track], trails or Trails(), T_CAM0_WORLD, camera, scale)
-    return picture
+    image = np.zeros((round(scale * HEIGHT), round(scale * WIDTH), 3), dtype=np.uint8)
+    draw_tracks(image, [track], trails or Trails(), T_CAM0_WORLD, camera, scale)
+    return image
 
 
-def bright(picture: Image, u: float, v: float) -> bool:
+def bright(image: Image, u: float, v: float) -> bool:
     """Is there a line of the track's colour within a pixel?"""
-    patch = picture[round(v) - 1 : round(v) + 2, round(u) - 1 : round(u) + 2].astype(int)
+    patch = image[round(v) - 1 : round(v) + 2, round(u) - 1 : round(u) + 2].astype(int)
     return bool(np.any(np.abs(patch - np.array(YELLOW)).max(axis=-1) < 120))
 
 
@@ -77,11 +77,11 @@ def test_the_edges_are_those_of_the_body(track: ObjectTrack) -> None:
 def test_the_3d_box_is_where_the_camera_sees_its_corners(
     track: ObjectTrack, pinhole: Camera
 ) -> None:
-    picture = drawn(track, pinhole)
+    image = drawn(track, pinhole)
     for y in (-2.0, 2.0):
         for x in (9.0, 11.0):
-            assert bright(picture, 120.0 - 150.0 * y / x, 80.0 - 150.0 * 0.75 / x)
-    assert not picture[100:].any()  # the nearest lower edge is at v = 92.5
+            assert bright(image, 120.0 - 150.0 * y / x, 80.0 - 150.0 * 0.75 / x)
+    assert not image[100:].any()  # the nearest lower edge is at v = 92.5
 
 
 def test_a_lens_bends_the_edges(rig: StereoRig) -> None:
@@ -113,7 +113,7 @@ def test_a_line_through_the_camera_keeps_its_part_ahead(pinhole: Camera) -> None
     assert np.all(pieces[..., 0] > -0.2 * WIDTH)
 
 
-def test_a_lens_that_folds_back_brings_nothing_from_outside_into_the_picture() -> None:
+def test_a_lens_that_folds_back_brings_nothing_from_outside_into_the_image() -> None:
     strong = Camera.make(
         (WIDTH, HEIGHT), (150.0, 150.0), (120.0, 80.0), "radtan", [-0.3, 0.0, 0.0, 0.0]
     )
@@ -127,9 +127,9 @@ def test_the_trail_is_the_way_it_came_in_the_present_image(
     track: ObjectTrack, pinhole: Camera
 ) -> None:
     trails = way((10.0, -5.0, -3.0), (10.0, -3.0, -3.0), (10.0, 0.0, -3.0))
-    picture = drawn(track, pinhole, trails)
+    image = drawn(track, pinhole, trails)
     for y in (-4.0, -1.0):
-        assert bright(picture, 120.0 - 15.0 * y, 80.0 + 45.0)
+        assert bright(image, 120.0 - 15.0 * y, 80.0 + 45.0)
     assert not drawn(track, pinhole)[120:].any()
 
 
@@ -157,7 +157,7 @@ def test_only_confirmed_tracks_are_drawn(track: ObjectTrack, pinhole: Camera, st
 
 
 @pytest.mark.parametrize("corner", [(-50.0, -40.0), (500.0, 300.0), (100.0, 2.0)])
-def test_the_label_stays_in_the_picture(
+def test_the_label_stays_in_the_image(
     track: ObjectTrack, pinhole: Camera, corner: tuple[float, float]
 ) -> None:
     box = np.array([*corner, corner[0] + 10.0, corner[1] + 10.0])
@@ -175,5 +175,5 @@ def test_a_track_without_a_box_in_the_image_has_no_label(
 
 
 def test_scale_enlarges_positions(track: ObjectTrack, pinhole: Camera) -> None:
-    picture = drawn(track, pinhole, scale=2.0)
-    assert bright(picture, 2.0 * (120.0 + 150.0 * 2.0 / 9.0 + 0.5), 2.0 * (92.5 + 0.5))
+    image = drawn(track, pinhole, scale=2.0)
+    assert bright(image, 2.0 * (120.0 + 150.0 * 2.0 / 9.0 + 0.5), 2.0 * (92.5 + 0.5))

@@ -83,12 +83,12 @@ def test_short_runs(tmp_path: Path, rig: StereoRig, make_result: Maker, n_frames
         ((401, 1281), (902, 1920)),
     ],
 )
-def test_canvas_is_even_and_holds_both_pictures(
+def test_canvas_is_even_and_holds_both_images(
     rig: StereoRig, make_result: Maker, size: tuple[int, int], canvas: tuple[int, int]
 ) -> None:
-    picture = compose(textured(make_result(0), size), rig)
-    assert picture.shape == (*canvas, 3)
-    assert picture[-3, -3].any()
+    image = compose(textured(make_result(0), size), rig)
+    assert image.shape == (*canvas, 3)
+    assert image[-3, -3].any()
 
 
 def test_full_disk_is_reported_and_the_unplayable_file_removed(

@@ -55,9 +55,9 @@ def result() -> FrameResult:
     labels = (PointLabel.STATIC, PointLabel.DYNAMIC, PointLabel.UNKNOWN, PointLabel.STATIC)
     n = len(labels)
     p_cam0 = np.array([[0.0, 0.0, 5.0], [1.0, 0.5, 8.0], [2.0, 1.0, 9.0], [np.nan] * 3])
-    picture = np.zeros((40, 60), dtype=np.uint8)
+    image = np.zeros((40, 60), dtype=np.uint8)
     return FrameResult(
-        frame=StereoFrame(STAMP_NS, picture, picture),
+        frame=StereoFrame(STAMP_NS, image, image),
         ego=make_ego(
             se3.make(so3.exp(np.array([0.1, -0.2, 0.7])), np.array([1.0, 2.0, 3.0])),
             np.array([5.0, 1.0, -0.2]),

@@ -11,7 +11,7 @@ T0 = 1_700_000_000_000 * MS
 
 
 def make(queue_frames: int = 3, offset_s: float = 0.0) -> Intake:
-    return Intake(LiveSettings(queue_frames=queue_frames, hold_s=3.0, jump_s=0.5), offset_s)
+    return Intake(LiveSettings(queue_frames=queue_frames, hold_s=3.0), offset_s)
 
 
 def put_imu(intake: Intake, *at_ms: int) -> None:

@@ -4,11 +4,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ovmot.geometry import se3, so3
 from ovmot.ros import messages
-from ovmot.ros.messages import FrameNames, PathSoFar, frame_messages, overlay_message
+from ovmot.ros.messages import FrameNames, PathSoFar, frame_messages
 from ovmot.ros.typestore import filled, rosbags_name, typestore
 from ovmot.ros.values import Message
 from ovmot.types import FrameResult, PointLabel
@@ -25,28 +24,6 @@ def through(version: int, message: Message) -> Any:
     if version == 1:
         return store.deserialize_ros1(store.serialize_ros1(filled(store, message), name), name)
     return store.deserialize_cdr(store.serialize_cdr(filled(store, message), name), name)
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_both_versions_of_ros_carry_every_message(result: FrameResult, version: int) -> None:
-    made = by_topic(result)
-    picture = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
-    overlay = overlay_message(result.timestamp_ns, picture)
-    read = {topic: through(version, m) for topic, m in made.items()}
-    image = through(version, overlay.message)
-    assert {**{t: m.type_name for t, m in made.items()}, overlay.topic: "sensor_msgs/Image"} == (
-        messages.TOPICS
-    )
-    odometry = read[messages.ODOMETRY]
-    assert (odometry.header.stamp.sec, odometry.header.stamp.nanosec) == (1_700_000_000, 123456789)
-    assert (odometry.header.frame_id, odometry.child_frame_id) == ("world", "imu")
-    assert odometry.pose.pose.position.z == 3.0
-    assert image.encoding == "bgr8" and image.step == 18
-    assert np.array_equal(image.data.reshape(4, 6, 3), picture)
-    objects = read[messages.OBJECTS].objects
-    assert [(o.id, o.state) for o in objects] == [(7, 1), (8, 2), (9, 0)]
-    assert np.isnan(objects[0].yaw_rate) and objects[0].size.x == 4.0
-    assert objects[0].box_px.tolist() == [10.0, 20.0, 50.0, 60.0]
 
 
 def test_pose_covariance_is_that_of_errors_in_the_world(result: FrameResult) -> None:
@@ -118,18 +95,6 @@ def test_points_are_in_the_world_and_apart_by_label(result: FrameResult) -> None
     assert static.width == 1  # the second static point has no depth
 
 
-def test_markers_begin_with_a_clean_slate_and_show_no_tentative_track(result: FrameResult) -> None:
-    drawn = through(1, by_topic(result)[messages.MARKERS]).markers
-    assert drawn[0].action == drawn[0].DELETEALL
-    assert [(m.ns, m.id) for m in drawn[1:]] == [
-        (name, track) for track in (7, 8) for name in ("boxes", "ids", "velocities")
-    ]
-    box, label, arrow = drawn[1:4]
-    assert label.text == "7: 5.0 m/s" and box.scale.x == 4.0
-    assert arrow.points[1].x - arrow.points[0].x == pytest.approx(3.0)
-    assert np.isclose(box.pose.orientation.z, np.sin(0.15))
-
-
 def test_the_path_stays_whole_and_bounded(result: FrameResult) -> None:
     path = PathSoFar()
     steps = 3 * PathSoFar.MOST
@@ -141,8 +106,3 @@ def test_the_path_stays_whole_and_bounded(result: FrameResult) -> None:
     along = [T[0, 3] for _, T in path.poses]
     assert along[0] == 0.0 and along[-1] > 0.2 * steps - 1.0
     assert len(path.extended(replace(result, segment=1)).poses) == 1
-
-
-def test_a_field_that_no_ros_has_is_an_error() -> None:
-    with pytest.raises(KeyError, match="sequence"):
-        filled(typestore(1), Message("std_msgs/Header", {"sequence": 1}))

@@ -14,15 +14,15 @@ def test_parameters_set_settings_and_files() -> None:
         "calibration": "/c.yaml",
         "config": "",
         "live": {"left": "/camera/left", "queue_frames": 7, "right": "", "publish_tf": False},
-        "tracker": {"min_distance_px": 9.5},
+        "tracker": {"two_view_threshold_px": 1.25},
     }
-    told = read_parameters(private)
-    assert told.calibration == Path("/c.yaml") and told.config is None
-    settings = load_settings(None, told.overrides)
+    found = read_parameters(private)
+    assert found.calibration == Path("/c.yaml") and found.config is None
+    settings = load_settings(None, found.overrides)
     assert settings.live.left == "/camera/left"
     assert settings.live.right == "/cam1/image_raw"
     assert settings.live.queue_frames == 7 and not settings.live.publish_tf
-    assert settings.tracker.min_distance_px == 9.5
+    assert settings.tracker.two_view_threshold_px == 1.25
 
 
 def test_an_unknown_parameter_is_named() -> None:

@@ -13,10 +13,10 @@ from ovmot.types import FrameResult
 
 @pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is there")
 def test_without_ros_2_the_command_says_what_it_needs(ovmot_command: Callable[..., Any]) -> None:
-    told = ovmot_command("ros2", "--calibration", "chain.yaml")
-    assert told.code == 2
-    assert "ROS 2 is not there" in told.complaint
-    assert "Jazzy or later" in told.complaint
+    found = ovmot_command("ros2", "--calibration", "chain.yaml")
+    assert found.code == 2
+    assert "ROS 2 is not there" in found.complaint
+    assert "Jazzy or later" in found.complaint
 
 
 def test_every_message_fits_the_classes_of_ros_2(result: FrameResult) -> None:
@@ -40,6 +40,6 @@ def test_every_message_fits_the_classes_of_ros_2(result: FrameResult) -> None:
 
 def test_a_wrong_chain_is_an_input_error(tmp_path: Path, ovmot_command: Callable[..., Any]) -> None:
     pytest.importorskip("rclpy")
-    told = ovmot_command("ros2", "--calibration", tmp_path / "chain.yaml")
-    assert told.code == 2
-    assert "no such calibration file" in told.complaint
+    found = ovmot_command("ros2", "--calibration", tmp_path / "chain.yaml")
+    assert found.code == 2
+    assert "no such calibration file" in found.complaint

@@ -26,8 +26,8 @@ def test_the_launch_file_gives_parameters_that_the_node_knows() -> None:
             private[section] = {**dict(private.get(section, {})), key: "/topic"}  # type: ignore[call-overload]
         else:
             private[section] = ""
-    told = read_parameters(private)
-    assert load_settings(None, told.overrides).live.imu == "/topic"
+    found = read_parameters(private)
+    assert load_settings(None, found.overrides).live.imu == "/topic"
 
 
 def test_rviz_shows_topics_that_are_published() -> None:

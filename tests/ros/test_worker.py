@@ -21,8 +21,8 @@ from ovmot.types import ImuSample, StereoFrame
 SETTINGS = Settings.model_validate(
     {
         "tracker": {
-            "max_features": 120, "min_distance_px": 10.0, "fast_threshold": 12,
-            "equalization": "none", "klt_window_px": 13, "klt_levels": 3,
+            "max_features": 120, "fine_columns": 16, "fast_threshold": 12,
+            "equalization": "none", "klt_window_px": 13, "klt_levels": 5,
         },
         "initialization": {"window_s": 0.5},
         "live": {"queue_frames": 100},
@@ -55,8 +55,8 @@ def feed(data: Path, intake: Intake) -> None:
         else:
             assert isinstance(event, StereoFrame)
             stamp = event.timestamp_ns
-            for side, picture in (("left", event.left), ("right", event.right)):
-                message = filled(typestore(2), image(stamp, "cam", picture))
+            for side, pixels in (("left", event.left), ("right", event.right)):
+                message = filled(typestore(2), image(stamp, "cam", pixels))
                 intake.put_image(side, stamp, message)  # type: ignore[arg-type]
 
 

@@ -55,9 +55,9 @@ def simulation_of(
     )  # fmt: skip
 
 
-def with_lens(lens: str) -> StereoRig:
-    coefficients = {"equidistant": [0.02, -0.01, 0.004, -0.001], "none": []}[lens]
-    camera = Camera.make((640, 480), (300.0, 300.0), (319.5, 239.5), lens, coefficients)
+def with_model(model: str) -> StereoRig:
+    coefficients = {"equidistant": [0.02, -0.01, 0.004, -0.001], "none": []}[model]
+    camera = Camera.make((640, 480), (300.0, 300.0), (319.5, 239.5), model, coefficients)
     return replace(handheld_rig(), cam0=camera, cam1=camera)
 
 
@@ -72,7 +72,7 @@ def points_in_world(simulation: FeatureSimulation, seen: ObservedFrame) -> Float
 
 
 def turned_apart() -> StereoRig:
-    """A rig whose lens model folds over what its right camera, looking aside, does not see."""
+    """A rig whose camera model folds over what its right camera, looking aside, does not see."""
     camera = Camera.make((752, 480), (458.0, 458.0), (375.5, 239.5), "radtan", [-0.3, 0, 0, 0])
     rig = replace(handheld_rig(), cam0=camera, cam1=camera)
     turn = se3.make(so3.exp(np.array([0.0, 0.8, 0.0])), np.zeros(3))
@@ -81,7 +81,7 @@ def turned_apart() -> StereoRig:
 
 @pytest.mark.parametrize(
     "rig",
-    [handheld_rig(), with_lens("equidistant"), with_lens("none"), turned_apart()],
+    [handheld_rig(), with_model("equidistant"), with_model("none"), turned_apart()],
     ids=["radtan", "equidistant", "none", "turned apart"],
 )
 def test_without_noise_every_feature_is_one_point_at_rest(rig: StereoRig) -> None:

@@ -14,18 +14,18 @@ ERROR = Miscalibration(rotation_deg=1.0, position_m=0.02, focal_share=0.01, time
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_wrong_by_these_amounts(seed: int) -> None:
     true = handheld_rig()
-    told = miscalibrated(true, ERROR, np.random.default_rng(seed))
-    for T, T_true in zip(poses(told), poses(true), strict=True):
+    prior = miscalibrated(true, ERROR, np.random.default_rng(seed))
+    for T, T_true in zip(poses(prior), poses(true), strict=True):
         turn = np.linalg.norm(so3.log(T[:3, :3].T @ T_true[:3, :3]))
         assert np.degrees(turn) == pytest.approx(1.0)
         assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) == pytest.approx(0.02)
-    for camera, right in zip(told.cameras, true.cameras, strict=True):
+    for camera, right in zip(prior.cameras, true.cameras, strict=True):
         share = camera.intrinsics[:2] / right.intrinsics[:2] - 1.0
         np.testing.assert_allclose(np.abs(share), 0.01)
         assert share[0] == pytest.approx(share[1])
         np.testing.assert_array_equal(camera.intrinsics[2:], right.intrinsics[2:])
         np.testing.assert_array_equal(camera.distortion, right.distortion)
-    assert abs(told.time_offset_s - true.time_offset_s) == pytest.approx(0.01)
+    assert abs(prior.time_offset_s - true.time_offset_s) == pytest.approx(0.01)
 
 
 def test_the_seed_decides_the_directions() -> None:

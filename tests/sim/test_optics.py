@@ -1,4 +1,4 @@
-"""Laws of the optics: what is off changes nothing; brightness, blur and exposure as told."""
+"""Laws of the optics: what is off changes nothing; brightness, blur and exposure as asked for."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from ovmot.geometry.arrays import AnyArray
 from ovmot.sim.optics import SUB_EXPOSURES, defocused, exposure_gains, sub_exposures
-from ovmot.sim.render import camera_rays, expose, render_exposure, render_picture, render_stereo
+from ovmot.sim.render import camera_rays, expose, render_exposure, render_image, render_stereo
 from ovmot.sim.scene_file import LightPart, load_scene
 from ovmot.sim.scenes import ORIGIN_NS, make_simulation
 from ovmot.sim.simulation import Optics, Simulation
@@ -32,7 +32,7 @@ def test_all_is_off_by_default(traffic: Simulation) -> None:
     time_ns = moment(traffic)
     rays = camera_rays(traffic.rig.cam0)
     T_world_cam = traffic.path.pose(time_ns) @ traffic.rig.T_imu_cam0
-    plain = render_picture(traffic.scene, rays, T_world_cam, time_ns)
+    plain = render_image(traffic.scene, rays, T_world_cam, time_ns)
     off = render_exposure(traffic.scene, rays, traffic.path, traffic.rig.T_imu_cam0, time_ns, 0.0)
     np.testing.assert_array_equal(off.grey, plain.grey)
     noise = 2.0 * np.random.default_rng(1).standard_normal(plain.grey.shape, dtype=np.float32)
@@ -55,7 +55,7 @@ def test_gains_drift_slowly_within_their_bound_and_nearly_together() -> None:
 
 
 def test_the_mean_follows_the_gain(traffic: Simulation) -> None:
-    sky = replace(traffic.scene.sky, mean=150.0)  # bright pictures must not saturate
+    sky = replace(traffic.scene.sky, mean=150.0)  # bright images must not saturate
     scene = replace(traffic.scene, sky=sky)
     optics = Optics(noise_grey=0.0, exposure_drift=0.3)
     times = traffic.camera_ns[::25]
@@ -95,7 +95,7 @@ def test_motion_blur_is_the_mean_of_its_moments_and_keeps_the_stamps_truth(
     rays = camera_rays(traffic.rig.cam0)
     blurred = render_exposure(traffic.scene, rays, traffic.path, T_imu_cam, time_ns, 0.03)
     moments = [
-        render_picture(traffic.scene, rays, traffic.path.pose(t) @ T_imu_cam, t)
+        render_image(traffic.scene, rays, traffic.path.pose(t) @ T_imu_cam, t)
         for t in sub_exposures(time_ns, 0.03)
     ]
     np.testing.assert_allclose(blurred.grey, np.mean([m.grey for m in moments], axis=0), atol=1e-3)
@@ -105,7 +105,7 @@ def test_motion_blur_is_the_mean_of_its_moments_and_keeps_the_stamps_truth(
     assert np.abs(blurred.grey - middle.grey).mean() > 0.1
     start_ns = int(traffic.camera_ns[0])
     walls = render_exposure(traffic.scene, rays, traffic.path, T_imu_cam, start_ns, 0.03)
-    still = render_picture(traffic.scene, rays, traffic.path.pose(start_ns) @ T_imu_cam, start_ns)
+    still = render_image(traffic.scene, rays, traffic.path.pose(start_ns) @ T_imu_cam, start_ns)
     unmoved = np.abs(walls.grey - still.grey) < 0.01
     assert unmoved.mean() > 0.75  # the rig stands; what moves is blurred all the same
     assert not unmoved.all()

@@ -1,4 +1,4 @@
-"""Pictures agree with their own depth, with each other and with the movers' truth."""
+"""Images agree with their own depth, with each other and with the movers' truth."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray
 from ovmot.sim.paths import standing_path, straight_path
 from ovmot.sim.profiles import SmoothSteps
-from ovmot.sim.render import Picture, RenderedFrame, camera_rays, render_picture, render_stereo
+from ovmot.sim.render import RenderedFrame, RenderedImage, camera_rays, render_image, render_stereo
 from ovmot.sim.scene import Mover, Scene, Texture, box_at, car_boxes
 from ovmot.sim.simulation import Optics
 
@@ -51,9 +51,13 @@ def stereo(scene: Scene, seed: int = 0, noise: float = 0.0, frames: int = 1) -> 
 
 
 def carry(
-    source: Picture, camera: Camera, rays: FloatArray, T_b_a: FloatArray, target: Picture
+    source: RenderedImage,
+    camera: Camera,
+    rays: FloatArray,
+    T_b_a: FloatArray,
+    target: RenderedImage,
 ) -> tuple[BoolArray, BoolArray, AnyArray, AnyArray]:
-    """Carry each pixel by its depth into another picture: who lands, where, and at what depth."""
+    """Carry each pixel by its depth into another image: who lands, where, and at what depth."""
     depth = source.depth.astype(np.float64)
     solid = np.isfinite(depth)
     points = se3.apply(T_b_a, rays * np.where(solid, depth, 1.0)[..., None])
@@ -106,7 +110,7 @@ def test_a_static_scene_looks_the_same_from_two_poses() -> None:
     poses.append(
         poses[0] @ se3.make(so3.exp(np.array([0.01, 0.05, 0.0])), np.array([0.2, 0.0, 1.0]))
     )
-    one, two = (render_picture(scene, rays, T, ORIGIN) for T in poses)
+    one, two = (render_image(scene, rays, T, ORIGIN) for T in poses)
     landed, same, grey, _ = carry(one, LEFT, rays, se3.inverse(poses[1]) @ poses[0], two)
     assert same[landed].mean() > 0.9
     assert np.median(np.abs(grey - one.grey)[same]) < 4.0
@@ -118,7 +122,7 @@ def test_texture_sticks_to_a_moving_body() -> None:
     scene, rays = small_scene((mover,)), camera_rays(LEFT)
     T_world_cam = T_WORLD_IMU @ RIG.T_imu_cam0
     later = ORIGIN + 200_000_000
-    one, two = (render_picture(scene, rays, T_world_cam, t) for t in (ORIGIN, later))
+    one, two = (render_image(scene, rays, T_world_cam, t) for t in (ORIGIN, later))
     motion = mover.path.pose(later) @ se3.inverse(mover.path.pose(ORIGIN))
     on_car = one.object_id == 3
     carried = se3.inverse(T_world_cam) @ motion @ T_world_cam

@@ -135,11 +135,11 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("lens", CAMERAS)
+@pytest.mark.parametrize("model", CAMERAS)
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_kernel_equals_its_twin(lens: str, seed: int) -> None:
+def test_kernel_equals_its_twin(model: str, seed: int) -> None:
     scene = crowd(seed)
-    rays = camera_rays(CAMERAS[lens])
+    rays = camera_rays(CAMERAS[model])
     forward = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     turn = so3.exp(np.random.default_rng(seed).normal(0.0, 0.2, 3))
     view, _ = scene_view(

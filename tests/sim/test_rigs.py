@@ -1,4 +1,4 @@
-"""Rigs keep their rays when their pictures get another size, and look where they are told."""
+"""Rigs keep their rays when their images get another size, and look where they are asked to."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,7 @@ def test_rectified_cameras_see_a_point_in_one_row_and_stand_where_they_stood() -
     np.testing.assert_array_equal(level.T_imu_cam0[:3, 3], rig.T_imu_cam0[:3, 3])
     np.testing.assert_array_equal(level.T_imu_cam1[:3, 3], rig.T_imu_cam1[:3, 3])
     assert level.T_imu_cam0[:3, 2] @ rig.T_imu_cam0[:3, 2] > 0.99
-    assert level.cam0.lens.name == level.cam1.lens.name == "none"
+    assert level.cam0.model.name == level.cam1.model.name == "none"
 
 
 def test_cameras_without_distortion_look_the_same_way() -> None:

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outline_checks import apart, corners
 
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.sim.render import camera_rays, render_picture
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.sim.render import camera_rays, render_image
 from ovmot.sim.rides import CAMERA_HEIGHT_M
 from ovmot.sim.scene_file import SCENES, SceneFile, load_scene
 from ovmot.sim.scenes import ORIGIN_NS, make_simulation
@@ -18,27 +19,6 @@ from ovmot.sim.simulation import Simulation
 
 SMALL = (160, 70)
 scene_of = cache(load_scene)
-
-
-def corners(center: FloatArray, yaw: FloatArray, size: FloatArray) -> FloatArray:
-    """Four corners (..., 4, 2) of a body's rectangle on the ground, of centres (..., 2) or more."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    half = 0.5 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * size[:2]
-    R = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
-    return np.asarray(center[..., None, :2] + half @ R)
-
-
-def apart(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Whether two convex outlines (..., 4, 2) have a line between them that is a side of one."""
-    middle = a.mean(axis=-2) - b.mean(axis=-2)
-    clear = np.linalg.norm(middle, axis=-1) > 10.0  # no mover is longer than 8 m
-    for p, q in ((a, b), (b, a)):
-        for i in range(4):
-            side = p[..., (i + 1) % 4, :] - p[..., i, :]
-            outward = np.stack([-side[..., 1], side[..., 0]], axis=-1)
-            beyond = ((q - p[..., i : i + 1, :]) @ outward[..., None])[..., 0]
-            clear |= beyond.min(axis=-1) > 0.0
-    return np.asarray(clear)
 
 
 def outlines(simulation: Simulation, time_ns: IntArray) -> dict[str, FloatArray]:
@@ -96,8 +76,8 @@ def test_a_seed_repeats_and_two_differ(name: str) -> None:
         simulation = make_simulation(scene_of(name), seed=seed, size=size, duration_s=0.1)
         T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
         rays = camera_rays(simulation.rig.cam0)
-        picture = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS)
-        return np.concatenate([picture.grey.ravel(), simulation.imu.gyro_bias])
+        image = render_image(simulation.scene, rays, T_world_cam, ORIGIN_NS)
+        return np.concatenate([image.grey.ravel(), simulation.imu.gyro_bias])
 
     first = grey(0)
     np.testing.assert_array_equal(first, grey(0))
@@ -129,8 +109,8 @@ def test_a_jam_is_mostly_movers() -> None:
     shares = []
     for time_ns in simulation.camera_ns[::20]:
         T_world_cam = simulation.path.pose(int(time_ns)) @ simulation.rig.T_imu_cam0
-        picture = render_picture(simulation.scene, rays, T_world_cam, int(time_ns))
-        shares.append((picture.object_id > 0).mean())
+        image = render_image(simulation.scene, rays, T_world_cam, int(time_ns))
+        shares.append((image.object_id > 0).mean())
     assert np.mean(shares) > 0.5
     speed = np.linalg.norm(simulation.path.velocity(simulation.camera_ns), axis=-1)
     still = speed < 0.02
@@ -142,7 +122,7 @@ def test_the_night_is_dark() -> None:
     simulation = make_simulation(scene_of("night"), seed=0, size=SMALL)
     rays = camera_rays(simulation.rig.cam0)
     T_world_cam = simulation.path.pose(ORIGIN_NS) @ simulation.rig.T_imu_cam0
-    grey = render_picture(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
+    grey = render_image(simulation.scene, rays, T_world_cam, ORIGIN_NS).grey
     assert 28.0 < grey.mean() < 42.0
     assert simulation.optics.noise_grey >= 6.0
 

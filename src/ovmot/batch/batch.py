@@ -1,4 +1,4 @@
-"""A batch from beginning to end: render, run, measure, add up."""
+"""A batch: render the sequences, run the odometry, evaluate, summarize."""
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +11,7 @@ from ovmot.batch.summary import BatchSummary, consistency_of, spreads_of, write_
 from ovmot.errors import InputError
 
 Progress = Callable[[str, int, int], None]
-"""Told what is going on, how many of it are done, and of how many."""
+"""Called with what is going on, how many of it are done, and of how many."""
 
 
 def run_batch(
@@ -23,7 +23,8 @@ def run_batch(
     monte_carlo: int | None = None,
     on_progress: Progress = lambda *_: None,
 ) -> BatchSummary:
-    """Do what is not done yet of a plan, write `summary.csv` and `summary.json` into `out`.
+    """Do the jobs of a plan that are not done yet, and write `summary.csv` and `summary.json` into
+    `out`.
 
     `monte_carlo` takes the seeds 0 to N-1 in place of the plan's, and judges the consistency. Jobs
     that fail are listed and do not hold up the others; what is finished stays whatever happens.

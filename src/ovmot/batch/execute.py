@@ -1,6 +1,6 @@
 """Where jobs are done: processes of this machine, or the workers of a Dask cluster.
 
-Both go on when a worker dies: what it had finished stays, and the job it was at is tried again.
+Both go on when a worker dies: finished jobs are kept, and the job it worked on is tried again.
 """
 
 import multiprocessing
@@ -43,12 +43,12 @@ class LocalProcesses:
         """Outcomes in the order in which they come."""
         waiting = list(jobs)
         while waiting:
-            outliers: list[Job] = []
-            yield from self._pool(work, waiting, outliers)
-            for job in outliers:
+            suspects: list[Job] = []
+            yield from self._pool(work, waiting, suspects)
+            for job in suspects:
                 yield self._alone(work, job)
 
-    def _pool(self, work: Work, waiting: list[Job], outliers: list[Job]) -> Iterator[Outcome]:
+    def _pool(self, work: Work, waiting: list[Job], suspects: list[Job]) -> Iterator[Outcome]:
         """Work through `waiting`; when the pool breaks, the jobs under way become suspects."""
         with self._new_pool(self._workers) as pool:
             under_way: dict[Future[Outcome], Job] = {}
@@ -61,14 +61,14 @@ class LocalProcesses:
                         try:
                             outcome = done.result()
                         except BrokenProcessPool:
-                            outliers.extend(under_way.values())
+                            suspects.extend(under_way.values())
                             return
                         except Exception as error:
                             outcome = unexpected(under_way[done], error)
                         del under_way[done]
                         yield outcome
             except BrokenProcessPool:  # between two jobs: nothing was lost but those under way
-                outliers.extend(under_way.values())
+                suspects.extend(under_way.values())
             except (KeyboardInterrupt, GeneratorExit):  # what is under way would hold us up
                 for process in multiprocessing.active_children():
                     process.terminate()
@@ -146,5 +146,5 @@ def _end_without_words() -> None:
 
 
 def unexpected(job: Job, error: BaseException) -> Outcome:
-    """The outcome of a job that ended by an error nobody had in mind: it is told as it is."""
+    """The outcome of a job that ended by an unexpected error, with the error's own words."""
     return Outcome(job.name, f"{type(error).__name__}: {' '.join(str(error).split())}")

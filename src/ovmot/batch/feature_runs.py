@@ -11,7 +11,7 @@ from ovmot.evaluation.calibration import calibration_errors
 from ovmot.evaluation.ego import evaluate_ego
 from ovmot.initialization.known_state import InitialSigmas
 from ovmot.outputs.run_json import InputIdentity, RunSummary
-from ovmot.outputs.run_reader import read_ego_run
+from ovmot.outputs.run_reader import read_calibration, read_ego_run
 from ovmot.run import RunInput, RunOptions, run_into_folder
 from ovmot.run_evaluation import Evaluation
 from ovmot.settings import Settings
@@ -71,5 +71,5 @@ def evaluate_features(
     )  # fmt: skip
     return Evaluation(
         evaluate_ego(read_ego_run(run), ego_truth),
-        calibration=calibration_errors(run, initial_rig or rig, rig),
+        calibration=calibration_errors(read_calibration(run), initial_rig or rig, rig),
     )

@@ -104,9 +104,9 @@ def _run_features(job: RunJob, spec: Features) -> None:
         max_gap_s=spec.max_gap_s,
     )  # fmt: skip
     recording = FeatureRecording(simulation, job.seed)
-    told = None
+    prior_rig = None
     if spec.calibration_error is not None:
         rng = np.random.default_rng([job.seed, _CALIBRATION_STREAM])
-        told = miscalibrated(simulation.rig, spec.calibration_error, rng)
-    run_features(recording, job.settings, RunOptions(job.folder, force=True), initial_rig=told)
-    write_metrics(job.folder, evaluate_features(job.folder, recording, told))
+        prior_rig = miscalibrated(simulation.rig, spec.calibration_error, rng)
+    run_features(recording, job.settings, RunOptions(job.folder, force=True), initial_rig=prior_rig)
+    write_metrics(job.folder, evaluate_features(job.folder, recording, prior_rig))

@@ -1,4 +1,4 @@
-"""One camera: image size, intrinsics and lens; pixels to rays and back, with Jacobians."""
+"""One camera: image size, intrinsics and camera model; pixels to rays and back, with Jacobians."""
 
 from dataclasses import dataclass
 
@@ -17,14 +17,14 @@ class Camera:
     """A calibrated camera.
 
     `intrinsics` (5,) is fx, fy, cx, cy, skew in pixels: u = fx·x + skew·y + cx, v = fy·y + cy,
-    where (x, y) are distorted normalised coordinates. `distortion` (k,) belongs to `lens`.
+    where (x, y) are distorted normalized coordinates. `distortion` (k,) belongs to `model`.
     Raises `CalibrationError` when these can not be a camera's.
     """
 
     width: int
     height: int
     intrinsics: FloatArray
-    lens: CameraModel
+    model: CameraModel
     distortion: FloatArray
 
     def __post_init__(self) -> None:
@@ -36,9 +36,10 @@ class Camera:
                 f"impossible camera: {self.width}x{self.height} pixels,"
                 f" focal lengths {self.fx:g}, {self.fy:g}"
             )
-        if len(self.distortion) not in self.lens.n_coefficients:
+        if len(self.distortion) not in self.model.n_coefficients:
             raise CalibrationError(
-                f"lens '{self.lens.name}' takes {' or '.join(map(str, self.lens.n_coefficients))}"
+                f"camera model '{self.model.name}' takes"
+                f" {' or '.join(map(str, self.model.n_coefficients))}"
                 f" coefficients, got {len(self.distortion)}"
             )
         if not np.all(np.isfinite(self.distortion)):
@@ -50,19 +51,19 @@ class Camera:
         size: tuple[int, int],
         focal: tuple[float, float],
         center: tuple[float, float],
-        lens: str = "none",
+        model: str = "none",
         distortion: FloatArray | list[float] | None = None,
         skew: float = 0.0,
     ) -> "Camera":
-        """Build from plain numbers; `size` is (width, height), `lens` a key of `CAMERA_MODELS`."""
-        if lens not in CAMERA_MODELS:
+        """Build from plain numbers; `size` is (width, height), `model` a key of `CAMERA_MODELS`."""
+        if model not in CAMERA_MODELS:
             raise CalibrationError(
-                f"unknown lens model '{lens}'; known: {', '.join(CAMERA_MODELS)}"
+                f"unknown camera model '{model}'; known: {', '.join(CAMERA_MODELS)}"
             )
         coefficients = np.asarray([] if distortion is None else distortion, dtype=np.float64)
         return cls(
             int(size[0]), int(size[1]), np.array([*focal, *center, skew], dtype=np.float64),
-            CAMERA_MODELS[lens], coefficients,
+            CAMERA_MODELS[model], coefficients,
         )  # fmt: skip
 
     @classmethod
@@ -95,16 +96,16 @@ class Camera:
         return np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def normalize(self, pixels: FloatArray) -> FloatArray:
-        """Undistorted plane coordinates (..., 2) of pixels (..., 2); NaN in, NaN out."""
+        """Undistorted normalized coordinates (..., 2) of pixels (..., 2); NaN in, NaN out."""
         fx, fy, cx, cy, skew = self.intrinsics
         y = (pixels[..., 1] - cy) / fy
         x = (pixels[..., 0] - cx - skew * y) / fx
-        return self.lens.undistort(np.stack([x, y], axis=-1), self.distortion)
+        return self.model.undistort(np.stack([x, y], axis=-1), self.distortion)
 
     def denormalize(self, xy: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of undistorted plane coordinates (..., 2)."""
+        """Pixels (..., 2) of undistorted normalized coordinates (..., 2)."""
         fx, fy, cx, cy, skew = self.intrinsics
-        d = self.lens.distort(xy, self.distortion)
+        d = self.model.distort(xy, self.distortion)
         return np.stack([fx * d[..., 0] + skew * d[..., 1] + cx, fy * d[..., 1] + cy], axis=-1)
 
     def project(self, points_cam: FloatArray) -> FloatArray:
@@ -116,7 +117,7 @@ class Camera:
         """Pixels (..., 2) and their derivative by the point (..., 2, 3), pixels per metre."""
         z = np.where(points_cam[..., 2] > 0.0, points_cam[..., 2], np.nan)
         xy = points_cam[..., :2] / z[..., None]
-        J_intrinsics, _ = self.lens.distort_jacobian(xy, self.distortion)
+        J_intrinsics, _ = self.model.distort_jacobian(xy, self.distortion)
         plane = np.zeros((*xy.shape[:-1], 2, 3))
         plane[..., 0, 0] = plane[..., 1, 1] = 1.0 / z
         plane[..., 0, 2] = -xy[..., 0] / z

@@ -128,7 +128,7 @@ def rectified(rig: StereoRig) -> StereoRig:
 
 
 def without_distortion(rig: StereoRig) -> StereoRig:
-    """The same cameras with perfect lenses: `radtan` of zeros."""
+    """The same cameras without distortion: `radtan` with coefficients of zero."""
     cam0, cam1 = (
         Camera.make(
             (c.width, c.height), (c.fx, c.fy), tuple(c.intrinsics[2:4]), "radtan", [0.0] * 4

@@ -40,7 +40,7 @@ def mav_folder(root: Path) -> Path | None:
 
 
 def sequence_folder(mav: Path) -> Path:
-    """The folder that the sequence is called by: the one around `mav0`."""
+    """The folder whose name is the sequence's: the one around `mav0`."""
     return mav.resolve().parent if mav.resolve().name == "mav0" else mav.resolve()
 
 

@@ -22,7 +22,7 @@ MODEL_NAMES = {
     "equidistant": "equidistant",
     "none": "none",
 }
-"""Lens names of Kalibr, EuRoC and ROS, and our names of them."""
+"""Names of camera models of Kalibr, EuRoC and ROS, and our names of them."""
 
 NOISE_KEYS = {
     "gyro": "gyroscope_noise_density",
@@ -125,11 +125,13 @@ class CalibrationNode:
             raise self.fail(key, f"no image is {width:g}x{height:g} pixels")
         return int(width), int(height)
 
-    def lens(self, key: str) -> str:
-        """Our name of the lens model."""
+    def camera_model(self, key: str) -> str:
+        """Our name of the camera model."""
         name = str(self.value(key)).strip().lower()
         if name not in MODEL_NAMES:
-            raise self.fail(key, f"unknown lens model '{name}'", f"known: {', '.join(MODEL_NAMES)}")
+            raise self.fail(
+                key, f"unknown camera model '{name}'", f"known: {', '.join(MODEL_NAMES)}"
+            )
         return MODEL_NAMES[name]
 
 
@@ -149,14 +151,14 @@ def read_pinhole(node: CalibrationNode, coefficients_key: str) -> Camera:
     model = str(node.data.get("camera_model", "pinhole"))
     if model != "pinhole":
         raise node.fail("camera_model", f"'{model}' is not known", "calibrate with 'pinhole'")
-    lens = node.lens("distortion_model")
-    distortion = node.coefficients(coefficients_key) if lens != "none" else np.empty(0)
+    distortion_model = node.camera_model("distortion_model")
+    distortion = node.coefficients(coefficients_key) if distortion_model != "none" else np.empty(0)
     fx, fy, cx, cy = node.numbers("intrinsics", (4,))
     size = node.size("resolution")
     if min(fx, fy) <= 0.0:
         raise node.fail("intrinsics", f"focal lengths {fx:g}, {fy:g} are not positive")
     try:
-        return Camera.make(size, (fx, fy), (cx, cy), lens, distortion)
+        return Camera.make(size, (fx, fy), (cx, cy), distortion_model, distortion)
     except CalibrationError as error:
         raise node.fail(coefficients_key, str(error)) from None
 
@@ -184,15 +186,15 @@ def make_rig(
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}; correct the file") from None
     for name, camera in zip(("cam0", "cam1"), cameras, strict=True):
-        if not _makes_a_picture(camera):
+        if not _makes_an_image(camera):
             size = f"{camera.width}x{camera.height} pixels"
-            problem = f"{name}: no lens makes a picture of {size} by these numbers"
+            problem = f"{name}: no camera makes an image of {size} by these numbers"
             remedy = "correct focal lengths (in pixels) and distortion"
             raise CalibrationError.at(path, problem, remedy)
     return rig.with_orthonormal_rotations()
 
 
-def _makes_a_picture(camera: Camera) -> bool:
+def _makes_an_image(camera: Camera) -> bool:
     """Does a share of the image see a field of view between a fraction of a degree and 180?"""
     u, v = np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID)
     with np.errstate(all="ignore"):

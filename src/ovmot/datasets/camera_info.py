@@ -44,10 +44,10 @@ def read_camera(node: CalibrationNode) -> Camera:
     K = node.numbers("camera_matrix", (3, 3))
     if min(K[0, 0], K[1, 1]) <= 0.0:
         raise node.fail("camera_matrix", f"focal lengths {K[0, 0]:g}, {K[1, 1]:g} are not positive")
-    lens = node.lens("distortion_model")
+    model = node.camera_model("distortion_model")
     coefficients = node.coefficients("distortion_coefficients")
     focal, center = (K[0, 0], K[1, 1]), (K[0, 2], K[1, 2])
     try:
-        return Camera.make(size, focal, center, lens, coefficients, skew=K[0, 1])
+        return Camera.make(size, focal, center, model, coefficients, skew=K[0, 1])
     except CalibrationError as error:
         raise node.fail("distortion_coefficients", str(error)) from None

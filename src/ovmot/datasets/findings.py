@@ -1,4 +1,6 @@
-"""What a reader noticed while it read: sentences for the user and counts for `run.json`."""
+"""What a reader notices while it reads: warnings for the user and counts for `run.json`.
+
+The notes and refusals that several readers share stand here too."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

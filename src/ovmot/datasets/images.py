@@ -1,4 +1,4 @@
-"""Images from files: always grey, 8 bits, and never half an image taken for a whole one."""
+"""Images from files, as grey of 8 bits; a truncated image is an error."""
 
 import struct
 import zlib

@@ -1,7 +1,7 @@
 """Instance images of a data set, and masks made of them.
 
 Each pixel shows the colour of what is seen there, and a table gives the colours numbers (VIODE and
-other data rendered by AirSim). Grey pictures hold the numbers themselves.
+other data rendered by AirSim). Grey images hold the numbers themselves.
 """
 
 from collections.abc import Mapping
@@ -24,12 +24,12 @@ _COLOUR_COLUMNS = ("id", "r", "g", "b")
 
 @dataclass(frozen=True, slots=True)
 class InstanceImages:
-    """The pictures of both cameras by stamp (ns), and the colour (red, green, blue) of each id.
+    """The images of both cameras by stamp (ns), and the colour (red, green, blue) of each id.
 
-    `colours` is empty where the pictures are grey and hold the ids.
+    `colours` is empty where the images are grey and hold the ids.
     """
 
-    pictures: tuple[Mapping[int, Path], Mapping[int, Path]]
+    images: tuple[Mapping[int, Path], Mapping[int, Path]]
     colours: Mapping[int, tuple[int, int, int]]
 
 
@@ -37,52 +37,52 @@ class InstanceImages:
 class InstanceMasks:
     """Masks of the pixels that show one of `ids`; a source of masks as `Masks` is."""
 
-    segmentation: InstanceImages
+    instances: InstanceImages
     ids: tuple[int, ...]
     sizes: tuple[tuple[int, int], tuple[int, int]]
 
     @classmethod
     def make(
-        cls, segmentation: InstanceImages, ids: tuple[int, ...], rig: StereoRig
+        cls, instances: InstanceImages, ids: tuple[int, ...], rig: StereoRig
     ) -> "InstanceMasks":
-        """For the pictures of a rig."""
+        """For the images of a rig."""
         sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
-        return cls(segmentation, ids, sizes)
+        return cls(instances, ids, sizes)
 
     def of(self, timestamp_ns: int) -> tuple[Image | None, Image | None]:
-        """The masks of one frame; None where it has no picture. Raises `InputError`."""
+        """The masks of one frame; None where it has no image. Raises `InputError`."""
         left, right = (
-            self._mask(pictures.get(timestamp_ns), size)
-            for pictures, size in zip(self.segmentation.pictures, self.sizes, strict=True)
+            self._mask(images.get(timestamp_ns), size)
+            for images, size in zip(self.instances.images, self.sizes, strict=True)
         )
         return left, right
 
     def _mask(self, path: Path | None, size: tuple[int, int]) -> Image | None:
         if path is None:
             return None
-        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if picture is None:
-            raise InputError.at(path, "is no picture", "write it as PNG")
-        if picture.shape[1::-1] != size:
-            found = f"{picture.shape[1]}x{picture.shape[0]}"
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise InputError.at(path, "is no image", "write it as PNG")
+        if image.shape[1::-1] != size:
+            found = f"{image.shape[1]}x{image.shape[0]}"
             remedy = "segmentation and images need one size"
             raise InputError.at(path, f"is {found}, the camera {size[0]}x{size[1]}", remedy)
-        if picture.ndim == 2:
-            return np.asarray(np.isin(picture, self.ids), dtype=np.uint8)
-        mask = np.zeros(picture.shape[:2], dtype=bool)
+        if image.ndim == 2:
+            return np.asarray(np.isin(image, self.ids), dtype=np.uint8)
+        mask = np.zeros(image.shape[:2], dtype=bool)
         for number in self.ids:
-            colour = self.segmentation.colours.get(number)
+            colour = self.instances.colours.get(number)
             if colour is None:
                 remedy = "put the table rgb_ids.txt beside the data, or take the id out"
                 raise InputError.at(path, f"no colour is known for id {number}", remedy)
-            mask |= np.all(picture[..., 2::-1] == colour, axis=-1)
+            mask |= np.all(image[..., 2::-1] == colour, axis=-1)
         return mask.astype(np.uint8)
 
 
 def find_instance_images(
     folders: tuple[Path, Path], table: Path | None, findings: Findings
 ) -> InstanceImages | None:
-    """The pictures `<ns>.png` of both cameras, those of a missing folder left out.
+    """The images `<ns>.png` of both cameras, those of a missing folder left out.
 
     None where both folders are missing. Raises `DatasetError` for a broken table of colours.
     """

@@ -133,7 +133,7 @@ def write_chain(path: Path, rig: StereoRig) -> None:
             "cam_overlaps": [other],
             "camera_model": "pinhole",
             "distortion_coeffs": camera.distortion.tolist(),
-            "distortion_model": camera.lens.name,
+            "distortion_model": camera.model.name,
             "intrinsics": camera.intrinsics[:4].tolist(),
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",

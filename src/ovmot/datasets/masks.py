@@ -1,4 +1,4 @@
-"""Masks: parts of the pictures that nothing is to be taken from, such as the bonnet or the sky.
+"""Masks: parts of the images in which no features are taken, such as the bonnet or the sky.
 
 A folder holds `cam0.png` and `cam1.png`, the same for all frames, or folders `cam0` and `cam1` with
 `<stamp in ns>.png` for single frames, or both; each is optional. Pixels that are not zero are
@@ -71,7 +71,7 @@ class FixedMasks:
 
 
 def open_mask_files(files: tuple[Path | None, Path | None], rig: StereoRig) -> FixedMasks:
-    """Masks of two pictures, each optional; raises `InputError` for one of another size."""
+    """Masks of two images, each optional; raises `InputError` for one of another size."""
     sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
     left, right = (
         None if file is None else _read(file, size) for file, size in zip(files, sizes, strict=True)
@@ -96,13 +96,13 @@ def with_masks(
 def _read(path: Path, size: tuple[int, int]) -> Image | None:
     if not path.is_file():
         return None
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise InputError.at(path, "is no picture", "write it as PNG")
-    if picture.shape[::-1] != size:
-        found = f"{picture.shape[1]}x{picture.shape[0]}"
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InputError.at(path, "is no image", "write it as PNG")
+    if image.shape[::-1] != size:
+        found = f"{image.shape[1]}x{image.shape[0]}"
         raise InputError.at(path, f"is {found}, the camera {size[0]}x{size[1]}", "bring it to size")
-    return np.asarray(picture, dtype=np.uint8)
+    return np.asarray(image, dtype=np.uint8)
 
 
 def _joined(a: Image | None, b: Image | None) -> Image | None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.calibration import (
     Calibration,
     CalibrationNode,
@@ -39,7 +38,6 @@ PLAIN = {
     "try_zupt": "zero_velocity.enabled",
     "num_pts": "tracker.max_features",
     "fast_threshold": "tracker.fast_threshold",
-    "min_px_dist": "tracker.min_distance_px",
 }
 """Keys whose value is taken over as it stands, and our settings."""
 
@@ -79,7 +77,7 @@ ALWAYS = {
 """Keys that, with this value, ask for what ovmot does anyway."""
 
 _JOINT = {
-    "use_stereo", "max_cameras", "use_rk4int", "use_imuavg", "grid_x", "grid_y",
+    "use_stereo", "max_cameras", "use_rk4int", "use_imuavg",
     "init_window_time", "zupt_max_disparity", "use_mask", "mask0", "mask1",
     "relative_config_imu", "relative_config_imucam",
 }  # fmt: skip
@@ -111,7 +109,7 @@ class RunConfig:
 
 
 def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunConfig:
-    """Settings of ours or of OpenVINS, told by the keys; `overrides` are `section.key=value`.
+    """Settings of ours or of OpenVINS, recognised by the keys; `overrides` are `section.key=value`.
 
     Raises `InputError` as `load_settings` does, and for chains that are missing or broken.
     """
@@ -122,7 +120,7 @@ def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunC
     if not is_openvins(data):
         return RunConfig(load_settings(path, overrides))
     calibration, unused_in_chains = _read_chains(path, data)
-    values, unused = translate(path, data, None if calibration is None else calibration.rig)
+    values, unused = translate(path, data)
     settings = make_settings(values, overrides, f"{path} (OpenVINS)")
     masks = _mask_files(path, data)
     parts = [f"{path}: {', '.join(unused)}"] if unused else []
@@ -136,12 +134,10 @@ def is_openvins(data: Mapping[str, Any]) -> bool:
     return any(key in _MARKS for key in data) and not data.keys() & Settings.model_fields.keys()
 
 
-def translate(
-    path: Path, data: Mapping[str, Any], rig: StereoRig | None
-) -> tuple[dict[str, dict[str, Any]], list[str]]:
+def translate(path: Path, data: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Our settings by section, and the keys of `data` that have no effect, in their order.
 
-    `rig` gives the image size for the grid. Raises `InputError` for a word that is not known.
+    Raises `InputError` for a word that is not known.
     """
     for key in sorted(_YES_OR_NO & data.keys()):
         if data[key] not in (True, False):  # any text would be true, be it "false"
@@ -162,7 +158,7 @@ def translate(
         flat[place] = words[str(data[key])]
         used.add(key)
     used |= {key for key, value in ALWAYS.items() if data.get(key) is value}
-    joint = _cameras(data), _integration(data), _start(data), _standstill(data), _grid(data, rig)
+    joint = _cameras(data), _integration(data), _start(data), _standstill(data)
     for values, keys in joint:
         flat |= values
         used |= keys
@@ -198,7 +194,7 @@ def _integration(data: Mapping[str, Any]) -> _Mapped:
 
 
 def _start(data: Mapping[str, Any]) -> _Mapped:
-    """The window is that of a start in motion where OpenVINS would try one."""
+    """The window is that of dynamic initialization where OpenVINS would try it."""
     if "init_window_time" not in data:
         return {}, set()
     name = "motion_window_s" if data.get("init_dyn_use") else "window_s"
@@ -212,19 +208,8 @@ def _standstill(data: Mapping[str, Any]) -> _Mapped:
     return {"zero_velocity.pixel": data["zupt_max_disparity"]}, {"zupt_max_disparity"}
 
 
-def _grid(data: Mapping[str, Any], rig: StereoRig | None) -> _Mapped:
-    """Cells as large as those of the grid, but square."""
-    columns, rows = data.get("grid_x"), data.get("grid_y")
-    if rig is None or not isinstance(columns, int) or not isinstance(rows, int):
-        return {}, set()
-    if min(columns, rows) < 1:
-        return {}, set()
-    area = rig.cam0.width * rig.cam0.height / (columns * rows)
-    return {"tracker.grid_cell_px": max(8, round(area**0.5))}, {"grid_x", "grid_y"}
-
-
 def _mask_files(path: Path, data: Mapping[str, Any]) -> tuple[Path | None, Path | None]:
-    """The pictures beside the configuration that `mask0` and `mask1` name."""
+    """The images beside the configuration that `mask0` and `mask1` name."""
     if not data.get("use_mask"):
         return None, None
     files = [path.parent / str(data[key]) if key in data else None for key in ("mask0", "mask1")]

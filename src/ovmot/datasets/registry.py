@@ -1,4 +1,4 @@
-"""The kinds of data sets, and the one door to them.
+"""The kinds of data sets: `open_recording` and `open_sequence` open them all.
 
 A new data set is one folder beside this file, with a reader and, where ovmot shall write it too, a
 writer, and a line in `DATASETS`.

@@ -1,4 +1,4 @@
-"""A recorded sequence, described: everything known of it before the first image is decoded."""
+"""The description of a recorded sequence: all that is known before an image is decoded."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -42,7 +42,7 @@ class RecordedSequence(ABC):
     `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
-    `segmentation` is there where the data has pictures of what each pixel shows. `warnings` are
+    `instances` are there where the data has images of what each pixel shows. `warnings` are
     sentences for the user; `counts` the numbers behind them.
 
     Its length is M; iterated over, it gives the events of all frames (see `stream.events`).
@@ -58,7 +58,7 @@ class RecordedSequence(ABC):
     frame_number: IntArray
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
-    segmentation: InstanceImages | None = None
+    instances: InstanceImages | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
@@ -99,7 +99,7 @@ def assemble(
     decode: Decode,
     findings: Findings,
     numbers: IntArray | None = None,
-    segmentation: InstanceImages | None = None,
+    instances: InstanceImages | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 
@@ -127,7 +127,7 @@ def assemble(
         decode=decode,
         warnings=tuple(findings.warnings),
         counts=dict(findings.counts),
-        segmentation=segmentation,
+        instances=instances,
     )
 
 

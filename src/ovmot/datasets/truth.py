@@ -117,31 +117,31 @@ class TrueObjects:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTruth:
-    """All frames by their stamp, and the folder with their pictures."""
+    """All frames by their stamp, and the folder with their images."""
 
     folder: Path
     frames: dict[int, TrueObjects]
 
-    def id_picture(self, timestamp_ns: int) -> Image:
+    def read_ids(self, timestamp_ns: int) -> Image:
         """The object's id at every left pixel (H, W), 0 where no mover is; raises `InputError`."""
         path = self.folder / f"{timestamp_ns}.png"
-        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if picture is None:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if image is None:
             raise InputError.at(path, "is not there or not an image", _REMEDY)
-        return np.asarray(picture, dtype=np.uint8)
+        return np.asarray(image, dtype=np.uint8)
 
     @property
     def has_depth(self) -> bool:
-        """Whether there are depth pictures."""
+        """Whether there are depth images."""
         return (self.folder / "depth").is_dir()
 
-    def depth_picture(self, timestamp_ns: int) -> FloatArray:
+    def read_depth(self, timestamp_ns: int) -> FloatArray:
         """Depth (H, W) along the left camera's z axis in m, NaN where none; raises `InputError`."""
         path = self.folder / "depth" / f"{timestamp_ns}.png"
-        picture: AnyArray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if picture is None or picture.dtype != np.uint16:
+        image: AnyArray | None = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if image is None or image.dtype != np.uint16:
             raise InputError.at(path, "is not there or not a 16-bit image", _REMEDY)
-        return np.where(picture > 0, picture / DEPTH_STEPS_PER_M, np.nan)
+        return np.where(image > 0, image / DEPTH_STEPS_PER_M, np.nan)
 
 
 def read_object_truth(data: Path) -> ObjectTruth | None:

@@ -1,1 +1,1 @@
-"""What is wrong or doubtful in a recorded sequence, told before anyone runs it."""
+"""What is wrong or doubtful in a recorded sequence, found before anyone runs it."""

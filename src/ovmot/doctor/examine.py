@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.sequence import RecordedSequence
+from ovmot.doctor.camera_rotations import CameraRotations, camera_rotations
 from ovmot.doctor.images import check_images
 from ovmot.doctor.imu_units import (
     check_accel_unit,
@@ -12,13 +13,12 @@ from ovmot.doctor.imu_units import (
     check_gyro_range,
     check_imu_saturation,
 )
+from ovmot.doctor.locations import Locations, locations_of
 from ovmot.doctor.observe import choose_stretches, observe
-from ovmot.doctor.places import Places, places_of
 from ovmot.doctor.report import Finding, Report, Severity, make_report
 from ovmot.doctor.stereo_geometry import check_stereo
-from ovmot.doctor.time_offset import check_gyro, compare_turns
+from ovmot.doctor.time_offset import check_gyro, fit_gyro
 from ovmot.doctor.timing import check_coverage, check_frame_times, check_imu_times
-from ovmot.doctor.turns import Turns, turns_of
 from ovmot.settings import ImuSettings
 from ovmot.types import ImuData
 
@@ -40,37 +40,41 @@ def examine(
     `advance` hears how many frames have been looked at; `calibration` is the file that stands in
     place of the data's own, if one does. Raises `DatasetError` for a broken image.
     """
-    places = places_of(sequence.kind, None if calibration is None else str(calibration))
+    locations = locations_of(sequence.kind, None if calibration is None else str(calibration))
     seen = observe(sequence, choose_stretches(sequence.frame_ns, sequence.imu), advance)
-    of_stereo, rig = check_stereo(seen.matches, sequence.rig, places)
+    stereo_findings, rig = check_stereo(seen.matches, sequence.rig, locations)
     findings = [
         *check_frame_times(sequence.frame_ns, sequence.counts),
-        *check_images(seen.pictures),
-        *of_stereo,
+        *check_images(seen.images),
+        *stereo_findings,
     ]
     if sequence.imu is None:
         says = "the data has no IMU, or none that is fast enough"
-        findings.append(Finding("IMU", Severity.NOT_TOLD, says, "run it with --ego poses FILE"))
+        findings.append(Finding("IMU", Severity.UNKNOWN, says, "run it with --ego poses FILE"))
     else:
-        turns = turns_of(seen.stretches, rig)
+        turns = camera_rotations(seen.stretches, rig)
         findings.append(check_coverage(len(sequence), sequence.counts))
-        findings += _of_imu(sequence.imu, turns, rig, sequence.counts, places)
+        findings += _imu_findings(sequence.imu, turns, rig, sequence.counts, locations)
     return make_report(sequence.name, sequence.kind, findings)
 
 
-def _of_imu(
-    imu: ImuData, turns: Turns, rig: StereoRig, counts: Mapping[str, int], places: Places
+def _imu_findings(
+    imu: ImuData,
+    turns: CameraRotations,
+    rig: StereoRig,
+    counts: Mapping[str, int],
+    locations: Locations,
 ) -> list[Finding]:
     times = check_imu_times(imu.timestamp_ns, counts, ImuSettings().max_gap_s)
     if len(imu) < 3:
         return times
     R_imu_cam0, offset_s = rig.T_imu_cam0[:3, :3], rig.time_offset_s
-    compared = compare_turns(turns, imu, offset_s)
+    compared = fit_gyro(turns, imu, offset_s)
     return [
         *times,
         check_accel_unit(imu),
         check_gyro_range(imu),
         *check_imu_saturation(imu),
-        check_gravity(imu, R_imu_cam0, places.mount),
-        *check_gyro(compared, R_imu_cam0, offset_s, places),
+        check_gravity(imu, R_imu_cam0, locations.mount),
+        *check_gyro(compared, R_imu_cam0, offset_s, locations),
     ]

@@ -1,4 +1,4 @@
-"""Checks of the pictures: contrast, saturation, brightness, pictures that repeat."""
+"""Checks of the images: contrast, saturation, brightness, images that repeat."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,17 +9,17 @@ from ovmot.doctor.report import Finding, Severity
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.types import StereoFrame
 
-_STEP = 4  # every fourth pixel of every fourth row tells as much
+_STEP = 4  # every fourth pixel of every fourth row is enough
 _LOW_RANGE, _NO_RANGE = 40.0, 8.0  # grey levels: a gain of 4 is the most the front end gives
 _BRIGHT_SHARE, _DARK_SHARE, _LOST_SHARE = 0.15, 0.3, 0.6
 _UNEVEN = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class PairLook:
+class ImageStatistics:
     """One stereo pair in numbers, left and right (2,): the grey range from the 2nd to the 98th
     percentile, the mean, the shares of pixels at 0 and at 255; whether left equals right, and
-    whether the left picture equals the one before; `corner` is a part to compare it by."""
+    whether the left image equals the one before."""
 
     grey_range: FloatArray
     mean: FloatArray
@@ -30,11 +30,11 @@ class PairLook:
     thinned: Image
 
 
-def look_at(frame: StereoFrame, before: PairLook | None) -> PairLook:
+def image_statistics(frame: StereoFrame, before: ImageStatistics | None) -> ImageStatistics:
     """What a stereo pair looks like."""
     thin = [np.ascontiguousarray(x[::_STEP, ::_STEP]) for x in (frame.left, frame.right)]
     low, high = np.percentile([x.ravel() for x in thin], (2.0, 98.0), axis=1)
-    return PairLook(
+    return ImageStatistics(
         grey_range=np.asarray(high - low),
         mean=np.array([x.mean() for x in thin]),
         black=np.array([(x == 0).mean() for x in thin]),
@@ -45,17 +45,17 @@ def look_at(frame: StereoFrame, before: PairLook | None) -> PairLook:
     )
 
 
-def check_images(pictures: Sequence[PairLook]) -> list[Finding]:
+def check_images(images: Sequence[ImageStatistics]) -> list[Finding]:
     """Findings about sampled stereo pairs, by the median over them."""
     grey_range, mean, black, white = (
-        np.median([getattr(p, name) for p in pictures], axis=0)
+        np.median([getattr(p, name) for p in images], axis=0)
         for name in ("grey_range", "mean", "black", "white")
     )
     return [
         _contrast(float(grey_range.min())),
         _saturation(float(black.max()), float(white.max())),
         _brightness(mean),
-        _copies(pictures),
+        _copies(images),
     ]
 
 
@@ -63,7 +63,7 @@ def _contrast(grey_range: float) -> Finding:
     says = f"grey levels span {grey_range:.0f} of 255 (2nd to 98th percentile)"
     if grey_range < _NO_RANGE:
         return Finding(
-            "contrast", Severity.WRONG, says, "the pictures show nothing: check the lens cap"
+            "contrast", Severity.WRONG, says, "the images show nothing: check the lens cap"
         )
     if grey_range < _LOW_RANGE:
         return Finding("contrast", Severity.DOUBTFUL, says, "expose longer, or light the scene")
@@ -86,15 +86,15 @@ def _brightness(mean: FloatArray) -> Finding:
     return Finding("brightness", Severity.FINE, says)
 
 
-def _copies(pictures: Sequence[PairLook]) -> Finding:
-    equal = sum(p.sides_equal for p in pictures)
-    repeats = sum(p.repeats for p in pictures)
-    check, n = "repeated pictures", len(pictures)
+def _copies(images: Sequence[ImageStatistics]) -> Finding:
+    equal = sum(p.sides_equal for p in images)
+    repeats = sum(p.repeats for p in images)
+    check, n = "repeated images", len(images)
     if equal:
-        says = f"left and right picture are the same file's in {equal} of {n} pairs"
+        says = f"left and right image are the same file's in {equal} of {n} pairs"
         return Finding(check, Severity.WRONG, says, "copy the right camera's own images")
     if repeats:
-        says = f"{repeats} of {n} left pictures equal the one before"
+        says = f"{repeats} of {n} left images equal the one before"
         severity = Severity.WRONG if repeats > 0.1 * n else Severity.DOUBTFUL
-        return Finding(check, severity, says, "the recorder wrote pictures twice: take them out")
-    return Finding(check, Severity.FINE, "no picture is a copy of another")
+        return Finding(check, severity, says, "the recorder wrote images twice: take them out")
+    return Finding(check, Severity.FINE, "no image is a copy of another")

@@ -74,7 +74,7 @@ def check_gravity(imu: ImuData, R_imu_cam0: FloatArray, place: str) -> Finding:
     mean = imu.accel.mean(axis=0)
     size = float(np.linalg.norm(mean))
     if size < 0.5 * float(np.linalg.norm(imu.accel, axis=1).mean()):
-        return Finding("gravity direction", Severity.NOT_TOLD, "the IMU turns about too much")
+        return Finding("gravity direction", Severity.UNKNOWN, "the IMU turns about too much")
     up = R_imu_cam0.T @ mean / size
     pitch = float(np.degrees(np.arcsin(np.clip(up[2], -1.0, 1.0))))
     roll = float(np.degrees(np.arctan2(up[0], -up[1])))

@@ -9,7 +9,7 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
-from ovmot.doctor.images import PairLook, look_at
+from ovmot.doctor.images import ImageStatistics, image_statistics
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -23,7 +23,7 @@ _ROUNDS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FrameMatches:
     """Stereo matches at one stamp, unchecked: ids (M,) and pixels (M, 4) of both sides."""
 
     timestamp_ns: int
@@ -33,10 +33,10 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """What the sampled frames show: a tuple of matches for each stretch, and all the pictures."""
+    """What the sampled frames show: a tuple of matches for each stretch, and all the images."""
 
-    stretches: tuple[tuple[Seen, ...], ...]
-    pictures: tuple[PairLook, ...]
+    stretches: tuple[tuple[FrameMatches, ...], ...]
+    images: tuple[ImageStatistics, ...]
 
     @property
     def matches(self) -> FloatArray:
@@ -78,28 +78,28 @@ def observe(
 
     Raises `DatasetError` for a broken image.
     """
-    seen: list[tuple[Seen, ...]] = []
-    pictures: list[PairLook] = []
+    seen: list[tuple[FrameMatches, ...]] = []
+    images: list[ImageStatistics] = []
     for first, last in stretches:
         tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
-        stretch: list[Seen] = []
+        stretch: list[FrameMatches] = []
         T_now_before = np.eye(4)  # as the last one
         with closing(tracker):
             for frame in events(sequence, first=first, last=last):
                 if not isinstance(frame, StereoFrame):
                     continue
                 _, tested = tracker.track(frame, T_now_before, no_feedback(sequence.rig))
-                stretch.append(Seen(frame.timestamp_ns, tested.feature_id, tested.pixels))
+                stretch.append(FrameMatches(frame.timestamp_ns, tested.feature_id, tested.pixels))
                 if len(stretch) > 1:
-                    R = turned(stretch[-2], stretch[-1], sequence.rig.cam0)
+                    R = rotation_between(stretch[-2], stretch[-1], sequence.rig.cam0)
                     T_now_before = se3.make(R, np.zeros(3))
-                pictures.append(look_at(frame, pictures[-1] if pictures else None))
-                advance(len(pictures))
+                images.append(image_statistics(frame, images[-1] if images else None))
+                advance(len(images))
         seen.append(tuple(stretch))
-    return Observations(tuple(seen), tuple(pictures))
+    return Observations(tuple(seen), tuple(images))
 
 
-def turned(before: Seen, now: Seen, camera: Camera) -> FloatArray:
+def rotation_between(before: FrameMatches, now: FrameMatches, camera: Camera) -> FloatArray:
     """R_now_before (3, 3) of the left camera by its rays alone, near ones too."""
     _, i, j = np.intersect1d(before.feature_id, now.feature_id, return_indices=True)
     xy = [camera.normalize(pixels[:, :2]) for pixels in (before.pixels[i], now.pixels[j])]

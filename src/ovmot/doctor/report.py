@@ -13,12 +13,12 @@ from ovmot.errors import InputError
 
 
 class Severity(StrEnum):
-    """How bad it is; `not told` where the data does not hold what a check needs."""
+    """How serious a finding is; `unknown` where the data does not allow the check."""
 
     WRONG = "wrong"
     DOUBTFUL = "doubtful"
     FINE = "fine"
-    NOT_TOLD = "not told"
+    UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ _STYLES = {
     Severity.WRONG: "bold red",
     Severity.DOUBTFUL: "yellow",
     Severity.FINE: "green",
-    Severity.NOT_TOLD: "dim",
+    Severity.UNKNOWN: "dim",
 }
 
 

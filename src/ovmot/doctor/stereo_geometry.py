@@ -1,4 +1,4 @@
-"""Checks of the stereo calibration against the matches that the pictures give.
+"""Checks of the stereo calibration against the matches that the images give.
 
 A calibration explains a match if the right point lies near the left one's epipolar line, and on the
 side of infinity where points in front of both cameras are. Mistakes of the usual kinds are tried as
@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.cameras.rig import StereoRig
-from ovmot.doctor.places import Places
+from ovmot.doctor.locations import Locations
 from ovmot.doctor.report import Finding, Severity
 from ovmot.errors import CalibrationError
 from ovmot.frontend.epipolar import epipolar_lines
@@ -36,7 +36,7 @@ _LOSS_PX = (20.0, 1.0)
 @dataclass(frozen=True, slots=True)
 class Fit:
     """How well a rig explains matches (N, 4): signed distance (N,) of the right point to its line
-    and disparity (N,), both pixels, NaN outside the lens model; which are explained (N,)."""
+    and disparity (N,), both pixels, NaN outside the camera model; which are explained (N,)."""
 
     distance_px: FloatArray
     disparity_px: FloatArray
@@ -78,12 +78,12 @@ def line_distances(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArr
     """Signed distances (N,) in pixels of right plane points (N, 2) to the left ones' lines.
 
     To first order in the image itself: a line's normal n becomes A⁻ᵀ n under a map with derivative
-    A. At the rim of a fisheye a pixel is many times as wide in the plane as in the middle.
+    A. At the border of a fisheye image a pixel is many times as wide in the plane as in the middle.
     """
     lines = epipolar_lines(xy0, rig.essential)
     off: FloatArray = (lines[:, :2] * xy1).sum(-1) + lines[:, 2]
     camera = rig.cam1
-    J, _ = camera.lens.distort_jacobian(xy1, camera.distortion)
+    J, _ = camera.model.distort_jacobian(xy1, camera.distortion)
     A = np.array([[camera.fx, camera.intrinsics[4]], [0.0, camera.fy]]) @ J
     (n_x, n_y), det = lines[:, :2].T, A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
     normal = np.hypot(A[:, 1, 1] * n_x - A[:, 1, 0] * n_y, A[:, 0, 0] * n_y - A[:, 0, 1] * n_x)
@@ -108,7 +108,7 @@ def disparities(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArray:
 
 
 def check_stereo(
-    pixels: FloatArray, rig: StereoRig, places: Places
+    pixels: FloatArray, rig: StereoRig, locations: Locations
 ) -> tuple[list[Finding], StereoRig]:
     """Findings about the calibration from stereo matches (N, 4), tested by nothing before.
 
@@ -123,11 +123,11 @@ def check_stereo(
     to_beat = min(_BETTER * given.cost_px, turned.fit.cost_px)
     mistaken = _best_alternative(pixels, rig, to_beat)
     if mistaken is not None:
-        return [_named(mistaken, given, pixels, places)], mistaken[1]
-    extrinsics = _extrinsics(given, turned, places)
+        return [_named(mistaken, given, pixels, locations)], mistaken[1]
+    extrinsics = _extrinsics(given, turned, locations)
     fine = extrinsics.severity is Severity.FINE
     best, fit = (rig, given) if fine else (turned.rig, turned.fit)
-    return [extrinsics, _lens(pixels, best, fit, places)], best
+    return [extrinsics, _model_finding(pixels, best, fit, locations)], best
 
 
 def alternatives(rig: StereoRig) -> dict[str, StereoRig]:
@@ -148,15 +148,15 @@ def _other_models(rig: StereoRig) -> dict[str, StereoRig]:
     """The rig with pinhole and fisheye model exchanged, the numbers left as they are."""
     other = {"radtan": "equidistant", "none": "equidistant", "equidistant": "radtan"}
     try:
-        cameras = [_with_model(c, other[c.lens.name]) for c in rig.cameras]
+        cameras = [_with_model(c, other[c.model.name]) for c in rig.cameras]
     except (KeyError, CalibrationError):
         return {}
-    return {"lens": replace(rig, cam0=cameras[0], cam1=cameras[1])}
+    return {"model": replace(rig, cam0=cameras[0], cam1=cameras[1])}
 
 
 def _with_model(camera: Camera, name: str) -> Camera:
     coefficients = np.resize(camera.distortion, 4) if len(camera.distortion) else np.zeros(4)
-    return replace(camera, lens=CAMERA_MODELS[name], distortion=coefficients)
+    return replace(camera, model=CAMERA_MODELS[name], distortion=coefficients)
 
 
 def _best_alternative(
@@ -169,7 +169,7 @@ def _best_alternative(
 
 
 def _named(
-    mistaken: tuple[str, StereoRig, Fit], given: Fit, pixels: FloatArray, places: Places
+    mistaken: tuple[str, StereoRig, Fit], given: Fit, pixels: FloatArray, locations: Locations
 ) -> Finding:
     name, other, fit = mistaken
     shares = f"the calibration explains {given.share:.0%} of {len(pixels)} stereo matches"
@@ -179,7 +179,7 @@ def _named(
             f"left and right are swapped: {shares} and puts {behind:.0%} behind the cameras,"
             f" exchanged it explains {fit.share:.0%}"
         )
-        remedy = f"exchange {places.images}, or the two cameras in the calibration"
+        remedy = f"exchange {locations.images}, or the two cameras in the calibration"
         return Finding("left and right", Severity.WRONG, says, remedy)
     if name == "direction":
         says = (
@@ -187,15 +187,15 @@ def _named(
             f" {fit.share:.0%}"
         )
         return Finding(
-            "extrinsics", Severity.WRONG, says, f"write the inverse into {places.extrinsics}"
+            "extrinsics", Severity.WRONG, says, f"write the inverse into {locations.extrinsics}"
         )
     inner, outer = by_radius(pixels, given, other)
     says = (
-        f"the lens model is mistaken: {shares}, with '{other.cam0.lens.name}' in place of the one"
+        f"the camera model is wrong: {shares}, with '{other.cam0.model.name}' in place of the one"
         f" given {fit.share:.0%}; epipolar distances grow from {inner:.2g} px in the middle to"
         f" {outer:.2g} px outside"
     )
-    return Finding("lens model", Severity.WRONG, says, f"change {places.lens}")
+    return Finding("camera model", Severity.WRONG, says, f"change {locations.camera_model}")
 
 
 def fitted_extrinsics(pixels: FloatArray, rig: StereoRig) -> TurnedRig:
@@ -236,7 +236,7 @@ def moved(rig: StereoRig, delta: FloatArray) -> StereoRig:
     return replace(rig, T_imu_cam1=rig.T_imu_cam0 @ se3.inverse(T_cam1_cam0))
 
 
-def _extrinsics(given: Fit, turned: TurnedRig, places: Places) -> Finding:
+def _extrinsics(given: Fit, turned: TurnedRig, locations: Locations) -> Finding:
     typical = float(np.nanmedian(np.abs(given.distance_px)))
     angle = float(np.degrees(turned.angle))
     says = (
@@ -244,7 +244,7 @@ def _extrinsics(given: Fit, turned: TurnedRig, places: Places) -> Finding:
         f" (typical distance to the epipolar line {typical:.2g} px)"
     )
     better = f"{says}, and {turned.fit.share:.0%} with the right camera turned by {angle:.2g}°"
-    remedy = f"calibrate the two cameras again, or correct {places.extrinsics}"
+    remedy = f"calibrate the two cameras again, or correct {locations.extrinsics}"
     gain = turned.fit.share - given.share
     sure = (
         turned.fit.cost_px < (1.0 - _COST_GAIN) * given.cost_px
@@ -255,19 +255,19 @@ def _extrinsics(given: Fit, turned: TurnedRig, places: Places) -> Finding:
     if sure and (angle > _TURN_DOUBTFUL_DEG or gain > _GAIN_DOUBTFUL):
         return Finding("extrinsics", Severity.DOUBTFUL, better, remedy)
     if given.share < _POOR:
-        remedy = f"check {places.images} (same instant, sharp, lit), then {places.extrinsics}"
+        remedy = f"check {locations.images} (same instant, sharp, lit), then {locations.extrinsics}"
         return Finding("extrinsics", Severity.DOUBTFUL, says, remedy)
     return Finding("extrinsics", Severity.FINE, says)
 
 
-def _lens(pixels: FloatArray, rig: StereoRig, fit: Fit, places: Places) -> Finding:
-    """Whether distances to the epipolar lines grow outwards, as under a wrong lens model."""
+def _model_finding(pixels: FloatArray, rig: StereoRig, fit: Fit, locations: Locations) -> Finding:
+    """Whether distances to the epipolar lines grow outwards, as under a wrong camera model."""
     inner, outer = by_radius(pixels, fit, rig)
     says = f"epipolar distances are {inner:.2g} px in the middle and {outer:.2g} px outside"
     if outer > max(2.0 * inner, _GATE_PX):
-        remedy = f"calibrate the lenses again, or correct {places.lens}"
-        return Finding("lens model", Severity.DOUBTFUL, f"{says}: they grow", remedy)
-    return Finding("lens model", Severity.FINE, says)
+        remedy = f"calibrate the cameras again, or correct {locations.camera_model}"
+        return Finding("camera model", Severity.DOUBTFUL, f"{says}: they grow", remedy)
+    return Finding("camera model", Severity.FINE, says)
 
 
 def by_radius(pixels: FloatArray, fit: Fit, rig: StereoRig) -> tuple[float, float]:

@@ -3,16 +3,16 @@
 Over each pair of frames the left camera's rotation rate c is compared with the gyroscope's mean
 rate g(lag), taken `lag` later. They should differ by the rotation between camera and IMU only; but
 c = B g(lag) + b is fitted with any matrix B, for every lag, so that a wrong unit, sign or rotation
-does not hide the lag. The lag is where the fit is best; B then tells the rest.
+does not hide the lag. The lag is where the fit is best; unit and axes then follow from B.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.doctor.places import Places
+from ovmot.doctor.camera_rotations import CameraRotations
+from ovmot.doctor.locations import Locations
 from ovmot.doctor.report import Finding, Severity
-from ovmot.doctor.turns import Turns
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.settings import FilterSettings
 from ovmot.types import ImuData
@@ -22,7 +22,7 @@ _LEAST_PAIRS = 15
 _LEAST_RATE_RPS = 0.01
 _NOISE_RPS = 0.02  # what far points and passing bodies can make of a rig that stands
 _LEAST_AGREEMENT = 0.5  # share of the camera's turning that the gyroscope explains
-_SURE_S = 0.005  # a lag whose standard deviation is greater is not told
+_SURE_S = 0.005  # a lag whose standard deviation is greater is not reported
 _SURE_RAD = 0.015  # an axis of turning that is seen less surely is not used
 _SIGMAS = 4.0
 _OFF_DEG = (4.0, 15.0)
@@ -31,7 +31,7 @@ _DEGREE = 180.0 / np.pi
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class GyroFit:
     """The best lag and its standard deviation, s; the `agreement` there, the share of the camera's
     turning that is explained; the camera's rms `rate_rps`, mean taken off; the `axes` (K, 3) about
     which the gyroscope turns enough, the main one first, and what B makes of them (K, 3), in the
@@ -45,7 +45,7 @@ class Comparison:
     images_of_axes: FloatArray
 
 
-def compare_turns(turns: Turns, imu: ImuData, offset_s: float) -> Comparison | None:
+def fit_gyro(turns: CameraRotations, imu: ImuData, offset_s: float) -> GyroFit | None:
     """Fit camera and gyroscope over all lags; `offset_s` is the calibration's t_imu - t_cam.
 
     None with fewer than 15 pairs of frames that the IMU covers at every lag.
@@ -73,7 +73,7 @@ def compare_turns(turns: Turns, imu: ImuData, offset_s: float) -> Comparison | N
     noise = float((residual**2).mean())
     _, size, axes = np.linalg.svd(gyro, full_matrices=False)
     axes = axes[size >= min(np.sqrt(noise) / _SURE_RAD, size[0])]
-    return Comparison(
+    return GyroFit(
         lag_s=lag,
         lag_std_s=float(np.sqrt(noise / max(float((_centred(slope) ** 2).sum()), 1e-300))),
         agreement=1.0 - float((residual**2).sum() / max(float((camera**2).sum()), 1e-300)),
@@ -123,37 +123,37 @@ def _lowest(lags: FloatArray, left: FloatArray) -> float:
 
 
 def check_gyro(
-    found: Comparison | None, R_imu_cam0: FloatArray, offset_s: float, places: Places
+    found: GyroFit | None, R_imu_cam0: FloatArray, offset_s: float, locations: Locations
 ) -> list[Finding]:
     """Time offset, unit and axes of the gyroscope; `offset_s` and `R_imu_cam0` as calibrated."""
     checks = "time offset", "gyroscope unit", "camera on IMU"
     if found is None:
         says = "too few frames whose rotation the images tell"
-        return [Finding(check, Severity.NOT_TOLD, says) for check in checks]
+        return [Finding(check, Severity.UNKNOWN, says) for check in checks]
     agrees = found.agreement >= _LEAST_AGREEMENT
     if found.rate_rps < (_LEAST_RATE_RPS if agrees else _NOISE_RPS):
         says = f"the rig hardly turns ({found.rate_rps:.2g} rad/s by the images)"
-        return [Finding(check, Severity.NOT_TOLD, says) for check in checks]
+        return [Finding(check, Severity.UNKNOWN, says) for check in checks]
     if not agrees:
         says = (
             f"the gyroscope explains {found.agreement:.0%} of the camera's turning"
             f" ({found.rate_rps:.2g} rad/s) at any offset up to {SEARCH_S} s"
         )
-        remedy = f"check the columns and the stamps of {places.imu}"
+        remedy = f"check the columns and the stamps of {locations.imu}"
         return [Finding("gyroscope and images", Severity.DOUBTFUL, says, remedy)]
     return [
         _time_offset(found, offset_s),
-        _gyro_unit(found, places),
-        _mount(found, R_imu_cam0, places),
+        _gyro_unit(found, locations),
+        _mount(found, R_imu_cam0, locations),
     ]
 
 
-def _time_offset(found: Comparison, offset_s: float) -> Finding:
+def _time_offset(found: GyroFit, offset_s: float) -> Finding:
     sigma_s = FilterSettings().time_offset_sigma_s
     lag, std = found.lag_s, found.lag_std_s
     if std > _SURE_S:
         says = f"the rig turns too evenly (the guess is sure to {1e3 * std:.0f} ms)"
-        return Finding("time offset", Severity.NOT_TOLD, says)
+        return Finding("time offset", Severity.UNKNOWN, says)
     says = (
         f"the IMU's clock is {abs(1e3 * lag):.1f} ms {'ahead of' if lag > 0 else 'behind'} what"
         f" the calibration says (± {1e3 * std:.1f} ms)"
@@ -169,25 +169,27 @@ def _time_offset(found: Comparison, offset_s: float) -> Finding:
     return Finding("time offset", severity, says, remedy)
 
 
-def _gyro_unit(found: Comparison, places: Places) -> Finding:
+def _gyro_unit(found: GyroFit, locations: Locations) -> Finding:
     scale = float(np.linalg.norm(found.images_of_axes[0]))
     says = f"the images turn {scale:.3g} times as much as the gyroscope says"
     check, off = "gyroscope unit", abs(scale - 1.0)
     if off <= _SCALE_OFF[0]:
         return Finding(check, Severity.FINE, says)
     if abs(scale * _DEGREE - 1.0) <= _SCALE_OFF[1]:
-        remedy = f"the unit is °/s: multiply the rates in {places.imu} by π/180"
+        remedy = f"the unit is °/s: multiply the rates in {locations.imu} by π/180"
     elif abs(scale / _DEGREE - 1.0) <= _SCALE_OFF[1]:
-        remedy = f"the rates were divided once too often: multiply those in {places.imu} by 180/π"
+        remedy = (
+            f"the rates were divided once too often: multiply those in {locations.imu} by 180/π"
+        )
     elif off <= _SCALE_OFF[1]:
         remedy = "check the focal lengths, or the gyroscope's scale"
         return Finding(check, Severity.DOUBTFUL, says, remedy)
     else:
-        remedy = f"convert the rates in {places.imu} to rad/s, or check the focal lengths"
+        remedy = f"convert the rates in {locations.imu} to rad/s, or check the focal lengths"
     return Finding(check, Severity.WRONG, says, remedy)
 
 
-def _mount(found: Comparison, R_imu_cam0: FloatArray, places: Places) -> Finding:
+def _mount(found: GyroFit, R_imu_cam0: FloatArray, locations: Locations) -> Finding:
     """The directions of the axes of turning, seen by the camera and put there by extrinsics."""
     expected, seen = found.axes @ R_imu_cam0, found.images_of_axes
     seen = seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-300)
@@ -197,6 +199,6 @@ def _mount(found: Comparison, R_imu_cam0: FloatArray, places: Places) -> Finding
     check = "camera on IMU"
     if angle <= _OFF_DEG[0]:
         return Finding(check, Severity.FINE, says)
-    remedy = f"correct {places.mount}: a rotation may be inverted, or an axis of the gyroscope"
+    remedy = f"correct {locations.mount}: a rotation may be inverted, or an axis of the gyroscope"
     severity = Severity.DOUBTFUL if angle <= _OFF_DEG[1] else Severity.WRONG
     return Finding(check, severity, says, remedy)

@@ -1,4 +1,4 @@
-"""Checks of the stamps: rates, jitter, holes, frames that are not there."""
+"""Checks of the stamps: rates, jitter, gaps, missing frames."""
 
 from collections.abc import Mapping
 
@@ -26,7 +26,7 @@ def check_frame_times(frame_ns: IntArray, counts: Mapping[str, int]) -> list[Fin
     `counts`: what the reader noticed (`stamps_without_image`, `unpaired_images`).
     """
     if len(frame_ns) < 3:
-        return [Finding("frame rate", Severity.NOT_TOLD, f"{len(frame_ns)} stereo pairs only")]
+        return [Finding("frame rate", Severity.UNKNOWN, f"{len(frame_ns)} stereo pairs only")]
     steps_s = 1e-9 * np.diff(frame_ns)
     period_s = float(np.median(steps_s))
     return [

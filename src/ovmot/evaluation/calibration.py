@@ -1,17 +1,15 @@
-"""Is the calibration found? What was estimated online against the true rig of a simulation."""
+"""Errors of the online calibration against the true rig of a simulation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.outputs.run_reader import read_table
+from ovmot.outputs.run_reader import TIME_OFFSET, CalibrationDeviations
 
-TIME_OFFSET = "time_offset_s"
 _ROTATION, _POSITION = ("rx", "ry", "rz"), ("x", "y", "z")
 _FOCAL, _CENTER = ("fx", "fy"), ("cx", "cy")
 _SETTLED_S = 5.0
@@ -27,46 +25,39 @@ class CalibrationErrors:
     sigma: FloatArray
 
 
-def true_deviations(told: StereoRig, true: StereoRig) -> dict[str, float]:
-    """What the deviations from the told rig should become, by their names in `calibration.csv`."""
+def true_deviations(prior: StereoRig, true: StereoRig) -> dict[str, float]:
+    """What the deviations from the prior rig should become, by their names in `calibration.csv`."""
     out = {TIME_OFFSET: true.time_offset_s}
     rigs = zip(
-        (told.T_imu_cam0, told.T_imu_cam1), (true.T_imu_cam0, true.T_imu_cam1), told.cameras,
+        (prior.T_imu_cam0, prior.T_imu_cam1), (true.T_imu_cam0, true.T_imu_cam1), prior.cameras,
         true.cameras, strict=True,
     )  # fmt: skip
     for k, (T, T_true, camera, right) in enumerate(rigs):
         pose = (*so3.log(T[:3, :3].T @ T_true[:3, :3]), *(T_true[:3, 3] - T[:3, 3]))
-        lens = right.intrinsics[:4] - camera.intrinsics[:4]
-        bent = right.distortion - camera.distortion
-        of_lens = (*_FOCAL, *_CENTER, *(f"d{i}" for i in range(len(bent))))
+        intrinsics = right.intrinsics[:4] - camera.intrinsics[:4]
+        distortion = right.distortion - camera.distortion
+        lens_columns = (*_FOCAL, *_CENTER, *(f"d{i}" for i in range(len(distortion))))
         out |= _named(f"cam{k}_pose_", (*_ROTATION, *_POSITION), pose)
-        out |= _named(f"cam{k}_lens_", of_lens, (*lens, *bent))
+        out |= _named(f"cam{k}_lens_", lens_columns, (*intrinsics, *distortion))
     return out
 
 
-def calibration_errors(run: Path, told: StereoRig, true: StereoRig) -> CalibrationErrors | None:
-    """Errors of cameras and clock in a run that was given the rig `told`; None without an estimate.
+def calibration_errors(
+    estimate: CalibrationDeviations | None, prior: StereoRig, true: StereoRig
+) -> CalibrationErrors | None:
+    """Errors of cameras and clock in a run that was given the rig `prior`.
 
-    The clock, which has no sigma where it is held, counts where it is estimated. Raises
-    `InputError` for tables that cannot be used.
+    None where nothing was estimated. Coordinates whose truth is not known are left out.
     """
-    path = run / "calibration.csv"
-    if not path.is_file() or path.stat().st_size == 0:
+    if estimate is None:
         return None
-    with path.open(encoding="utf-8") as file:
-        columns = file.readline().strip().split(",")
-    right = true_deviations(told, true)
-    names = tuple(name for name in columns if name in right)
-    table = read_table(path, (*names, *(f"std_{name}" for name in names)))
-    clock = read_table(run / "state.csv", (TIME_OFFSET, f"std_{TIME_OFFSET}")).values
-    estimate, sigma = np.split(table.values, 2, axis=1)
-    if (clock[:, 1] > 0.0).all():
-        names = (*names, TIME_OFFSET)
-        estimate, sigma = np.c_[estimate, clock[:, 0]], np.c_[sigma, clock[:, 1]]
-    if not len(table.timestamp_ns) or not names:
+    right = true_deviations(prior, true)
+    known = [i for i, name in enumerate(estimate.names) if name in right]
+    if not len(estimate.timestamp_ns) or not known:
         return None
-    error = np.array([right[name] for name in names]) - estimate
-    return CalibrationErrors(table.timestamp_ns, names, error, sigma)
+    names = tuple(estimate.names[i] for i in known)
+    error = np.array([right[name] for name in names]) - estimate.value[:, known]
+    return CalibrationErrors(estimate.timestamp_ns, names, error, estimate.sigma[:, known])
 
 
 def calibration_scalars(errors: CalibrationErrors) -> dict[str, float | None]:

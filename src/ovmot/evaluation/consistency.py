@@ -1,4 +1,4 @@
-"""Is a covariance honest? Normalised errors squared, and the chi-squared bounds they should keep.
+"""Is a covariance honest? Normalized errors squared, and the chi-squared bounds they should keep.
 
 Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
 Navigation, 2001, chapter 5.4. Errors are those of docs/conventions.md: rotations on the right,
@@ -20,7 +20,7 @@ _SINGULAR = 1e-13  # squared pivot of a correlation matrix; below it only roundi
 
 @dataclass(frozen=True, slots=True)
 class Nis:
-    """Innovations squared (N,), normalised, and the degrees of freedom (N,) of each."""
+    """Innovations squared (N,), normalized, and the degrees of freedom (N,) of each."""
 
     values: FloatArray
     dof: IntArray
@@ -67,19 +67,19 @@ def nees(errors: FloatArray, covariance: FloatArray) -> FloatArray:
 
     NaN where an error or a covariance is not known, or a covariance is not positive definite.
     """
-    rows = [_normalised_square(e, P) for e, P in zip(errors, covariance, strict=True)]
+    rows = [_normalized_square(e, P) for e, P in zip(errors, covariance, strict=True)]
     return np.array(rows, dtype=np.float64)
 
 
 def nis(innovations: Sequence[FloatArray], covariances: Sequence[FloatArray]) -> Nis:
     """NIS of innovations, each (k,) with its covariance (k, k), where k may change."""
-    rows = [_normalised_square(e, S) for e, S in zip(innovations, covariances, strict=True)]
+    rows = [_normalized_square(e, S) for e, S in zip(innovations, covariances, strict=True)]
     dof = [len(innovation) for innovation in innovations]
     return Nis(np.array(rows, dtype=np.float64), np.array(dof, dtype=np.int64))
 
 
 def chi_squared_bounds(dof: int, probability: float = 0.95) -> tuple[float, float]:
-    """Two-sided bounds of one normalised square with so many degrees of freedom."""
+    """Two-sided bounds of one normalized square with so many degrees of freedom."""
     tail = 0.5 * (1.0 - probability)
     return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
 
@@ -115,7 +115,7 @@ def average(values: FloatArray, dof: int, probability: float = 0.95) -> Average 
     return Average(float(known.mean()), inside, len(known), len(values) - len(known))
 
 
-def normalised_average(
+def normalized_average(
     squares: Nis, probability: float = 0.95
 ) -> tuple[float, tuple[float, float]] | None:
     """Σ NIS / Σ dof, ideally 1, and its bounds; innovations may differ in dimension."""
@@ -127,7 +127,7 @@ def normalised_average(
     return float(squares.values[known].sum()) / total, (low / total, high / total)
 
 
-def _normalised_square(error: FloatArray, covariance: FloatArray) -> float:
+def _normalized_square(error: FloatArray, covariance: FloatArray) -> float:
     """eᵀ P⁻¹ e of one error (k,), NaN where P is not positive definite or anything is NaN.
 
     P is brought to a correlation matrix first, so that units do not decide what is singular.

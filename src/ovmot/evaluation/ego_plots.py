@@ -1,4 +1,4 @@
-"""Pictures of the ego motion's errors, as figures of their own: no window and no global state."""
+"""Figures of the ego motion's errors, without a window or global state."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Are the right points called dynamic? Labels against the picture of object ids."""
+"""Labels of points against the image of object ids: precision and recall of `dynamic`."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,8 @@ _EDGE = np.ones((7, 7), dtype=np.uint8)
 
 @dataclass(frozen=True, slots=True)
 class LabelCounts:
-    """Points called dynamic that move (`hits`) or rest (`false`), and called static likewise."""
+    """Points labelled dynamic that move (`hits`) or rest (`false`), and points labelled static that
+    move (`missed`) or rest (`kept`)."""
 
     hits: int
     false: int
@@ -42,7 +43,7 @@ def count_labels(
     """Compare all labels `static` and `dynamic` with what moves at the point's pixel.
 
     Left out are points beyond the range or without depth, and those within 3 pixels of an
-    object's outline, where the picture does not say whose they are.
+    object's outline, where the image does not say whose they are.
     """
     counts = np.zeros((2, 2), dtype=np.int64)
     dynamic = LABELS.index("dynamic")
@@ -56,7 +57,7 @@ def count_labels(
             np.linalg.norm(objects.velocity, axis=1) > criteria.min_speed_mps
         ]
         rows = np.flatnonzero(judged & (points.timestamp_ns == stamp))
-        ids = inner_ids(truth.id_picture(stamp))
+        ids = inner_ids(truth.read_ids(stamp))
         at, inside = pixel_index(points.pixel[rows], ids)
         known = inside & (ids[at] >= 0)
         moves = np.isin(ids[at], moving)[known]
@@ -68,21 +69,21 @@ def count_labels(
     )  # fmt: skip
 
 
-def inner_ids(id_picture: Image) -> IntArray:
-    """The picture of ids (H, W), -1 near outlines."""
-    widest, narrowest = cv2.dilate(id_picture, _EDGE), cv2.erode(id_picture, _EDGE)
+def inner_ids(id_image: Image) -> IntArray:
+    """The image of ids (H, W), -1 near outlines."""
+    widest, narrowest = cv2.dilate(id_image, _EDGE), cv2.erode(id_image, _EDGE)
     edge = np.asarray(widest) != np.asarray(narrowest)
-    return np.where(edge, -1, id_picture.astype(np.int64))
+    return np.where(edge, -1, id_image.astype(np.int64))
 
 
 def pixel_index(
-    pixel: FloatArray, picture: IntArray | FloatArray
+    pixel: FloatArray, image: IntArray | FloatArray
 ) -> tuple[tuple[IntArray, IntArray], BoolArray]:
-    """Row and column (M,) of the nearest pixels, and which (M,) lie in the picture.
+    """Row and column (M,) of the nearest pixels, and which (M,) lie in the image.
 
     Those outside point to the nearest pixel inside.
     """
-    height, width = picture.shape[:2]
+    height, width = image.shape[:2]
     finite = np.asarray(np.isfinite(pixel).all(axis=1))
     nearest = np.round(np.where(finite[:, None], pixel, -1.0)).astype(np.int64)
     u, v = nearest[:, 0], nearest[:, 1]

@@ -1,4 +1,4 @@
-"""Which track belongs to which true object, frame by frame.
+"""Assignment of tracks to true objects, frame by frame.
 
 Tracks and objects are compared in the body frame, so that drift of the trajectory is not counted
 twice. A track's centre is that of the surface it sees: its distance is that to the true box, zero
@@ -34,7 +34,7 @@ class ObjectCriteria:
 
 @dataclass(frozen=True, slots=True)
 class ComparedFrame:
-    """One frame: N true objects, P tracks, and who belongs to whom.
+    """One frame: N true objects, P tracks, and their assignment.
 
     `T_true`, `T_run` (4, 4): the rig in both worlds. `needed` (N,): has to be found. `counted`
     (P,): not on an object that need not be found. `pairs` (M, 2): indices of a needed object and

@@ -1,4 +1,4 @@
-"""Drift while the truth stands still: what a driver at a red light sees the odometry do."""
+"""Drift of the estimate while the true rig is stationary, as at a red light."""
 
 from dataclasses import dataclass
 

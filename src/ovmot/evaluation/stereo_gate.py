@@ -1,4 +1,4 @@
-"""Does the stereo gate refuse the wrong matches? Tested matches against the true depth."""
+"""Verdicts of the stereo gate against the true depth: precision and recall of accepted matches."""
 
 from dataclasses import dataclass
 
@@ -58,7 +58,7 @@ def count_gate(matches: GatedMatches, truth: ObjectTruth, rig: StereoRig) -> Gat
         if stamp not in truth.frames:
             continue
         rows = matches.timestamp_ns == stamp
-        right, known = is_right(matches.pixels[rows], truth.depth_picture(stamp), rig)
+        right, known = is_right(matches.pixels[rows], truth.read_depth(stamp), rig)
         verdict = matches.accepted[rows]
         index = (right[known].astype(np.int64), verdict[known].astype(np.int64))
         np.add.at(counts, index, 1)

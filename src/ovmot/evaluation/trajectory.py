@@ -1,6 +1,6 @@
 """Trajectory errors: absolute (ATE) and relative (RPE), as pure functions of paired poses.
 
-All take N poses T (N, 4, 4) of the truth and of the estimate at the same instants. Definitions:
+All take N poses T (N, 4, 4) of the truth and of the estimate at the same times. Definitions:
 J. Sturm et al., IROS 2012; Z. Zhang and D. Scaramuzza, IROS 2018.
 """
 

@@ -1,0 +1,20 @@
+"""The front end: from the images of a stereo frame to features with ids.
+
+`FRONT_ENDS` makes one by the setting `tracker.cameras`; `given_features` is the one for features
+that come from elsewhere.
+"""
+
+from collections.abc import Callable
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.monocular_tracker import LEFT, RIGHT, MonocularTracker
+from ovmot.frontend.stereo_tracker import StereoTracker
+from ovmot.settings import EpipolarSettings, TrackerSettings
+
+ImageFrontEnd = StereoTracker | MonocularTracker
+
+FRONT_ENDS: dict[str, Callable[[StereoRig, TrackerSettings, EpipolarSettings], ImageFrontEnd]] = {
+    "stereo": StereoTracker,
+    "left": lambda rig, settings, _: MonocularTracker(rig, settings, (LEFT,)),
+    "each": lambda rig, settings, _: MonocularTracker(rig, settings, (LEFT, RIGHT)),
+}

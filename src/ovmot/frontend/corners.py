@@ -1,4 +1,4 @@
-"""New corners: FAST over the whole image, spread by a grid."""
+"""New corners: FAST over the whole image, spread by a grid, denser where something may move."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,13 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ovmot.cameras.camera import Camera
+from ovmot.frontend.preprocessing import inside_mask
 from ovmot.frontend.spread_kernel import take_apart_compiled
-from ovmot.geometry.arrays import FloatArray, Image, IntArray
-
-_BORDER_PX = 8
-_CELL_EXCESS = 2  # times its even share that a cell may fill: sky leaves others empty
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.physics import MAX_VEHICLE_SIZE_M
+from ovmot.settings import TrackerSettings
+from ovmot.types import PointLabel, ScenePoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,19 +25,98 @@ class Spread:
     per_cell: int
 
 
-def even_spread(n_most: int, distance_px: float, cell_px: int, shape: tuple[int, ...]) -> Spread:
-    """At most twice the even share of `n_most` corners in each cell of an image of this shape."""
+def new_corners(
+    image: Image,
+    mask: Image | None,
+    existing: FloatArray,
+    focus: Image | None,
+    settings: TrackerSettings,
+) -> FloatArray:
+    """New corners (M, 2), pixels, beside the `existing` features (N, 2).
+
+    Over the image (height, width) evenly, up to `max_features`; one in every fine cell without a
+    feature; and up to `focus_features` densely where `focus` (height, width) is not zero. None
+    where `mask` (height, width) is not zero, or where the window of optical flow would not be in
+    the image. All lengths follow from the fine cell, and so scale with the image.
+    """
+    shape, cell_px = image.shape, fine_cell_px(image.shape, settings)
+    corners, response = fast_corners(
+        image, settings.fast_threshold, settings.klt_window_px // 2, mask
+    )
+    within, has = inside_mask(corners, focus), inside_mask(existing, focus)
+    even = even_spread(settings.max_features, cell_px, shape)
+    dense = Spread(cell_px / 4.0, cell_px, 4 * 4)
+    taken = existing
+    for n_most, chosen, spread in (
+        (settings.max_features - int((~has).sum()), ~within, even),
+        # what covers tracked features is tracked itself, though there are enough
+        (len(corners), ~within, Spread(even.distance_px, cell_px, 1)),
+        (settings.focus_features - int(has.sum()), within, dense),
+    ):
+        new = choose_corners(corners[chosen], response[chosen], taken, n_most, spread, shape)
+        taken = np.concatenate([taken, new])
+    return taken[len(existing) :]
+
+
+def fine_cell_px(shape: tuple[int, ...], settings: TrackerSettings) -> int:
+    """Side of a fine cell in an image of this shape (height, width): 20 px of 640."""
+    return -(-shape[1] // settings.fine_columns)
+
+
+def even_spread(n_most: int, fine_cell_px: int, shape: tuple[int, ...]) -> Spread:
+    """Corners 0.6 fine cells apart, in cells three times as wide as the fine ones.
+
+    Each cell holds twice its share of `n_most` corners: sky and road leave half of them empty.
+    """
     height, width = shape[:2]
+    cell_px = 3 * fine_cell_px
     cells = -(-width // cell_px) * -(-height // cell_px)
-    return Spread(distance_px, cell_px, -(-_CELL_EXCESS * n_most // cells))
+    return Spread(0.6 * fine_cell_px, cell_px, -(-2 * n_most // cells))
+
+
+def focus_areas(
+    points: ScenePoints, outlier: BoolArray, camera: Camera
+) -> tuple[FloatArray, FloatArray]:
+    """Where more features are wanted: left pixels (M, 2) and radii (M,) in pixels around them.
+
+    They are those of points that move or do not look static: dynamic ones, those of objects, and
+    the `outlier` ones (N,). A radius is half of a vehicle's greatest width at the point's depth:
+    the parts of the same body that are not seen yet lie that near. Its length, which it shows from
+    the side alone, would reach beyond its ends to the street.
+    """
+    depth = points.p_cam0[:, 2]
+    moving = (points.label == int(PointLabel.DYNAMIC)) | (points.track_id >= 0)
+    chosen = np.flatnonzero((moving | outlier) & np.isfinite(depth))
+    radius = 0.5 * MAX_VEHICLE_SIZE_M[1] * camera.fx / np.maximum(depth[chosen], 1.0)
+    return points.pixels[chosen, :2], radius
+
+
+def focus_mask(
+    shape: tuple[int, ...], uv: FloatArray, radius_px: FloatArray, cell_px: int
+) -> Image | None:
+    """An image (height, width), 255 within the radii (N,) of pixels (N, 2); None without any.
+
+    Radii are at least half of a fine cell, of side `cell_px`. Those beyond three cells, the cell
+    of the even spread, are left out: what is near has its features by the ordinary density.
+    """
+    small = radius_px < 3 * cell_px
+    if not small.any():
+        return None
+    mask = np.zeros(shape[:2], dtype=np.uint8)
+    centers = uv[small].round().astype(int).tolist()
+    radii = np.maximum(radius_px[small], 0.5 * cell_px).round().astype(int).tolist()
+    for (u, v), radius in zip(centers, radii, strict=True):
+        cv2.circle(mask, (u, v), radius, 255, cv2.FILLED)
+    return mask
 
 
 def fast_corners(
-    image: Image, threshold: int, mask: Image | None = None
+    image: Image, threshold: int, border_px: int, mask: Image | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """All corners (M, 2) of an image and their strength (M,); none where `mask` is not zero.
+    """All corners (M, 2) of an image and their strength (M,).
 
-    FAST (E. Rosten & T. Drummond, ECCV 2006).
+    None where `mask` is not zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
+    T. Drummond, ECCV 2006), `threshold` in grey levels.
     """
     detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
     keypoints = detector.detect(image, None if mask is None else (mask == 0).astype(np.uint8))
@@ -45,8 +126,8 @@ def fast_corners(
     response = np.array([k.response for k in keypoints])
     height, width = image.shape
     inside = (
-        (points[:, 0] >= _BORDER_PX) & (points[:, 0] < width - _BORDER_PX)
-        & (points[:, 1] >= _BORDER_PX) & (points[:, 1] < height - _BORDER_PX)
+        (points[:, 0] >= border_px) & (points[:, 0] < width - border_px)
+        & (points[:, 1] >= border_px) & (points[:, 1] < height - border_px)
     )  # fmt: skip
     return points[inside], response[inside]
 

@@ -1,26 +1,29 @@
-"""The epipolar gate: stereo matches checked by the stereo extrinsics.
+"""Epipolar tests: stereo matches by the stereo extrinsics, consecutive images by a robust fit.
 
-The distance of the right point to the left point's epipolar line is taken in the undistorted
-normalised plane, where it is exact for any lens; lines need not be horizontal.
+The distance of the right point to the epipolar line of the left one is taken in the undistorted
+normalized plane, where it is exact for any lens; lines need not be horizontal.
 """
 
+import math
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.physics import LEAST_MATCH_SIGMA_PX, gate
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
-_MIN_MATCHES = 20
-_TAILS = 1.5
-_LEAST_SIGMA_PX = 0.15
-
 
 def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatArray:
-    """Lines (N, 3), a x + b y + c = 0 with a² + b² = 1, in the right plane: E x0 (E = [t]x R)."""
+    """Lines (N, 3), a x + b y + c = 0 with a² + b² = 1, in the right normalized plane.
+
+    `normalized_left` (N, 2); `essential` (3, 3): E = [t]x R of `T_cam1_cam0`. The line of x0 is
+    E x0 (R. Hartley & A. Zisserman, ch. 9).
+    """
     ones = np.ones_like(normalized_left[..., :1])
     lines = np.concatenate([normalized_left, ones], axis=-1) @ essential.T
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -29,13 +32,14 @@ def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatA
 
 
 def scale_by_angle(lines: FloatArray, camera: Camera) -> FloatArray:
-    """Plane units of one pixel along each line's normal (N,): √((n_x/fx)² + (n_y/fy)²)."""
+    """Normalized length of one pixel along the normal of each line (N, 3):
+    √((n_x/fx)² + (n_y/fy)²), (N,)."""
     scale: FloatArray = np.hypot(lines[..., 0] / camera.fx, lines[..., 1] / camera.fy)
     return scale
 
 
 def scale_by_fy(lines: FloatArray, camera: Camera) -> FloatArray:
-    """Plane units of one pixel, 1/fy for every line: right where lines are horizontal."""
+    """Normalized length of one pixel, 1/fy for every line (N, 3): right for horizontal lines."""
     return np.full(lines.shape[:-1], 1.0 / camera.fy)
 
 
@@ -43,6 +47,7 @@ SCALES: dict[str, Callable[[FloatArray, Camera], FloatArray]] = {
     "angle": scale_by_angle,
     "fy": scale_by_fy,
 }
+"""From pixels to the normalized plane, by the setting `epipolar.scale`."""
 
 
 def gate_matches(
@@ -52,10 +57,10 @@ def gate_matches(
     rig: StereoRig,
     settings: EpipolarSettings,
 ) -> StereoMatches:
-    """Test N stereo matches, given as pixels and plane coordinates (N, 4).
+    """Test N stereo matches, given as pixels (N, 4) and normalized coordinates (N, 4).
 
-    Accepted are those at most `threshold_px` from their line; a
-    match without finite coordinates (outside the lens model) is refused.
+    Accepted are those at most `threshold_px` from their line; a match without finite coordinates
+    (outside the camera model) is rejected.
     """
     lines = epipolar_lines(normalized[:, :2], rig.essential)
     right = normalized[:, 2:]
@@ -67,27 +72,66 @@ def gate_matches(
 
 
 def no_matches() -> StereoMatches:
-    """Nothing was matched."""
+    """Of a frame without stereo matches."""
     ids, nothing = np.empty(0, dtype=np.int64), np.empty((0, 4))
     return StereoMatches(ids, nothing, nothing[:, 0], ids > 0, nothing[:, :3])
 
 
-def match_sigma(matches: StereoMatches) -> float:
-    """Standard deviation of each pixel of a stereo pair, by the accepted distances; NaN for few.
-
-    A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
-    disparity has along it. Robust (1.4826 times the median), and widened for the heavier tails
-    that matches have.
-    """
-    distance = matches.distance_px[matches.accepted]
-    if len(distance) < _MIN_MATCHES:
-        return float("nan")
-    sigma = 1.4826 * float(np.median(distance)) / 2.0**0.5
-    return float(max(_TAILS * sigma, _LEAST_SIGMA_PX))
-
-
-def without_refused(values: FloatArray, matches: StereoMatches) -> FloatArray:
-    """Pixels or plane coordinates (N, 4) with the right half NaN where the match was refused."""
+def without_rejected(values: FloatArray, matches: StereoMatches) -> FloatArray:
+    """Pixels or normalized coordinates (N, 4), the right half NaN where the match was rejected."""
     out = values.copy()
     out[~matches.accepted, 2:] = np.nan
     return out
+
+
+def match_sigma(
+    matches: StereoMatches, *, probability: float = 0.95, min_matches: int = 20
+) -> float:
+    """Standard deviation of each pixel of a stereo pair, by the accepted distances; NaN for few.
+
+    A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
+    disparity has along it. The sigma is that of which a normal distribution has this probability
+    within the same bound as the distances: matches have heavier tails than their median shows, and
+    gates at this probability hold what they should. At least what matching can reach,
+    `physics.LEAST_MATCH_SIGMA_PX`.
+    """
+    distance = matches.distance_px[matches.accepted]
+    if len(distance) < min_matches:
+        return float("nan")
+    bound = float(np.quantile(distance, probability))
+    return float(max(bound / (2.0 * gate(1, probability)) ** 0.5, LEAST_MATCH_SIGMA_PX))
+
+
+def two_view_inliers(
+    before: FloatArray,
+    now: FloatArray,
+    threshold: float,
+    *,
+    min_points: int = 12,
+    confidence: float = 0.999,
+) -> BoolArray:
+    """Which of N tracks (N,) agree with one rigid motion of the camera between two images.
+
+    `before`, `now` (N, 2): normalized coordinates; `threshold` in the same unit. Fundamental
+    matrix by MAGSAC++ (D. Barath et al., CVPR 2020): in the normalized plane it is the essential
+    matrix, and found in half the time. With fewer than `min_points` tracks, or when no motion is
+    found, all pass: the test then knows nothing. So many samples of seven are drawn that, where
+    half of the tracks are inliers, one is free of outliers with this `confidence`.
+    """
+    ok = np.asarray(np.isfinite(before).all(1) & np.isfinite(now).all(1))
+    if ok.sum() < min_points:
+        return ok
+    # The solver's own tolerances are made for pixels: give it coordinates of that size.
+    scale = 1.0 / threshold
+    most_samples = math.ceil(math.log(1.0 - confidence) / math.log(1.0 - 0.5**7))
+    try:
+        _, mask = cv2.findFundamentalMat(
+            before[ok] * scale, now[ok] * scale, cv2.USAC_MAGSAC, 1.0, confidence, most_samples
+        )
+    except cv2.error:  # raised, by some noisy inputs, where the last refinement finds no model
+        return ok
+    if mask is None or mask.sum() < min_points:
+        return ok
+    inliers = np.zeros(len(before), dtype=np.bool_)
+    inliers[ok] = mask.ravel() > 0
+    return inliers

@@ -1,4 +1,7 @@
-"""A front end for features that something else has tracked: a simulation, another tracker."""
+"""A front end for features that something else has tracked: a simulation, another tracker.
+
+OpenVINS has `TrackSIM` for this.
+"""
 
 from collections.abc import Callable
 
@@ -6,29 +9,29 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.frontend.epipolar import gate_matches, without_refused
-from ovmot.frontend.two_view import two_view_inliers
+from ovmot.frontend.epipolar import gate_matches, two_view_inliers, without_rejected
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import Feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
 
-def as_given(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+def in_stereo(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
     """Ids (N,) and pixels (N, 4) as they are."""
     return feature_id, pixels.copy()
 
 
 def left_only(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
-    """What the left camera alone would give."""
+    """Those of the left camera alone: ids (M,), pixels (M, 4) with the right half NaN."""
     seen = np.isfinite(pixels[:, 0])
     out = pixels[seen]
     out[:, 2:] = np.nan
     return feature_id[seen], out
 
 
-def taken_apart(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Each camera's features by themselves: id k becomes 2k in the left and 2k + 1 in the right."""
+def each_camera(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Each camera's features by themselves, ids (M,) and pixels (M, 4): id k becomes 2k in the left
+    and 2k + 1 in the right."""
     left, right = pixels.copy(), pixels.copy()
     left[:, 2:] = right[:, :2] = np.nan
     ids = np.concatenate([2 * feature_id, 2 * feature_id + 1])
@@ -38,11 +41,11 @@ def taken_apart(feature_id: IntArray, pixels: FloatArray) -> tuple[IntArray, Flo
 
 
 ARRANGEMENTS: dict[str, Callable[[IntArray, FloatArray], tuple[IntArray, FloatArray]]] = {
-    "stereo": as_given,
+    "stereo": in_stereo,
     "left": left_only,
-    "each": taken_apart,
+    "each": each_camera,
 }
-"""What the setting `tracker.cameras` makes of given features."""
+"""Given features by the setting `tracker.cameras`, as `frontend.FRONT_ENDS` makes its own."""
 
 
 class GivenFeatures:
@@ -64,8 +67,8 @@ class GivenFeatures:
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame with accepted right halves only, and all tested pairs.
 
-        The prediction is not needed. Features whose pixel the lens model does not reach, in the
-        camera that follows them, are left out. Raises `OvmotError` for a frame of images.
+        The prediction is not needed. Features whose pixel the camera model does not reach, in the
+        camera that tracks them, are left out. Raises `OvmotError` for a frame of images.
         """
         if isinstance(frame, StereoFrame):
             raise OvmotError(f"frame {frame.timestamp_ns}: images where features were expected")
@@ -81,15 +84,16 @@ class GivenFeatures:
         matches = gate_matches(
             ids[paired], pixels[paired], normalized[paired], self._rig, self._epipolar
         )
-        pixels[paired] = without_refused(pixels[paired], matches)
-        normalized[paired] = without_refused(normalized[paired], matches)
+        pixels[paired] = without_rejected(pixels[paired], matches)
+        normalized[paired] = without_rejected(normalized[paired], matches)
         self._before = self._with_history(frame.timestamp_ns, ids, pixels, normalized)
         return self._before, matches
 
     def _with_history(
         self, timestamp_ns: int, ids: IntArray, pixels: FloatArray, normalized: FloatArray
     ) -> FrontendFrame:
-        """Hops and the two-view verdict, from the last frame's features of the same ids."""
+        """The frame with track lengths and the two-view test, by the last frame's features of the
+        same ids."""
         track_length = np.zeros(len(ids), dtype=np.int64)
         inlier = np.ones(len(ids), dtype=np.bool_)
         before = self._before

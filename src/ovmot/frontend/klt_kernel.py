@@ -1,11 +1,10 @@
-"""The compiled search of pyramidal Lucas-Kanade flow, there and back, point by point.
+"""The compiled search of pyramidal Lucas-Kanade flow, forward and backward, point by point.
 
 J.-Y. Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2000, with OpenCV's
-ways to stop and to refuse. OpenCV's own function takes no pyramids from Python: it builds those of
-both images at each of the many calls of a frame, and that costs more than the search.
+criteria to stop and to reject. OpenCV's own function takes no pyramids from Python: it builds those
+of both images at each of the many calls of a frame, and that costs more than the search.
 
-It holds no Python lock. tests/frontend/test_klt_kernel.py holds it against
-OpenCV.
+It holds no Python lock. `tests/frontend/test_klt_kernel.py` holds it against OpenCV.
 
 Windows are kept as rows of `side + 3` pixels in one line of numbers: a loop over all of them runs
 in SIMD lanes, where one per row would be too short. In the columns beyond the window the
@@ -13,38 +12,37 @@ derivatives are zero.
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.kernels.cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled, reordered_part
 
 MAX_STEPS = 20
+"""Steps of one level at most, as in OpenCV's sample program `lkdemo`."""
 SMALL_STEP_PX = 0.01
+"""A level is done at a step below this: the default of OpenCV's `calcOpticalFlowPyrLK`."""
 MIN_CURVATURE = 1.024
-"""Least eigenvalue of a window's mean squared gradient, (grey levels / pixel)²: OpenCV's 1e-3."""
+"""Least eigenvalue of a window's mean squared gradient, (grey levels / pixel)²: 1024 times the
+`minEigThreshold` 1e-3 of `lkdemo`, since OpenCV's derivatives have a gain of 32 and its sums a
+scale of 2⁻²⁰."""
 BACK_LEVELS = 2
-"""The way back starts where it should end: two levels are enough."""
+"""The backward search starts where it should end: two levels are enough."""
 MAX_ROUND_TRIP_PX = 0.7
+"""Forward and backward: half a pixel in each direction of the image."""
 LANES = 32
-"""Pixels that one turn of a loop takes."""
+"""Pixels that one turn of a loop takes: two vectors of AVX-512, in single precision."""
 
 _Float32 = npt.NDArray[np.float32]
 _Images = tuple[_Float32, ...]
-_F = TypeVar("_F", bound=Callable[..., Any])
 
 
-def _compiled(function: _F) -> _F:
-    """A part of `klt_track`: compiled into it, with no code of its own on disk."""
-    return compiled(function, None, reorder=True)
-
-
-@_compiled
-def _cut(image: _Float32, left: int, top: int, n_rows: int, stride: int, block: _Float32) -> None:
+@reordered_part
+def _copy_rows(
+    image: _Float32, left: int, top: int, n_rows: int, stride: int, block: _Float32
+) -> None:
     """Copy rows of an image, from pixel (left, top) on."""
     for i in range(n_rows):
         row, out = image[top + i, left:], block[i * stride :]
@@ -52,9 +50,9 @@ def _cut(image: _Float32, left: int, top: int, n_rows: int, stride: int, block: 
             out[j] = row[j]
 
 
-@_compiled
-def _between(block: _Float32, n: int, stride: int, a: float, b: float, grey: _Float32) -> None:
-    """Grey levels right of and below the first `n` pixels of a block, by a and b."""
+@reordered_part
+def _interpolate(block: _Float32, n: int, stride: int, a: float, b: float, grey: _Float32) -> None:
+    """Bilinear grey levels, the first `n` pixels of a block shifted by (a, b), 0 to 1 each."""
     w00, w01 = np.float32((1.0 - a) * (1.0 - b)), np.float32(a * (1.0 - b))
     w10, w11 = np.float32((1.0 - a) * b), np.float32(a * b)
     right, below, corner = block[1:], block[stride:], block[stride + 1 :]
@@ -62,7 +60,7 @@ def _between(block: _Float32, n: int, stride: int, a: float, b: float, grey: _Fl
         grey[k] = w00 * block[k] + w01 * right[k] + w10 * below[k] + w11 * corner[k]
 
 
-@_compiled
+@reordered_part
 def _derivatives(wide: _Float32, n: int, stride: int, by_u: _Float32, by_v: _Float32) -> None:
     """Scharr's derivatives of a window from one that is wider by a pixel on each side."""
     three, ten = np.float32(3.0 / 32.0), np.float32(10.0 / 32.0)
@@ -75,7 +73,7 @@ def _derivatives(wide: _Float32, n: int, stride: int, by_u: _Float32, by_v: _Flo
         by_v[k] = three * (fall - rise) + ten * (down[k] - up[k])
 
 
-@_compiled
+@reordered_part
 def _clear_outside(
     values: _Float32, side: int, left: int, top: int, right: int, bottom: int
 ) -> None:
@@ -89,7 +87,7 @@ def _clear_outside(
             values[i * stride + j] = 0.0
 
 
-@_compiled
+@reordered_part
 def _products(n: int, by_u: _Float32, by_v: _Float32) -> tuple[float, float, float]:
     """Sums of the derivatives' products: uu, uv, vv."""
     uu, uv, vv = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -100,11 +98,11 @@ def _products(n: int, by_u: _Float32, by_v: _Float32) -> tuple[float, float, flo
     return float(uu), float(uv), float(vv)
 
 
-@_compiled
+@reordered_part
 def _mismatch(
     seen: _Float32, wide: _Float32, n: int, stride: int, by_u: _Float32, by_v: _Float32
 ) -> tuple[float, float]:
-    """What is seen less the window inside the wide one, times the derivatives, summed."""
+    """Sums of (what is seen less the window inside the wide one) times the derivatives."""
     u, v = np.float32(0.0), np.float32(0.0)
     inside = wide[stride + 1 :]
     for k in range(n):
@@ -114,9 +112,9 @@ def _mismatch(
     return float(u), float(v)
 
 
-@_compiled
+@reordered_part
 def _photometric_residual(seen: _Float32, wide: _Float32, side: int, stride: int) -> float:
-    """The mean difference of what is seen from the window inside the wide one."""
+    """Mean absolute difference between what is seen and the window inside the wide one."""
     total = 0.0
     for i in range(side):
         for j in range(side):
@@ -124,40 +122,75 @@ def _photometric_residual(seen: _Float32, wide: _Float32, side: int, stride: int
     return total / (side * side)
 
 
-@_compiled
+@reordered_part
 def _take_window(
     image: _Float32, left: int, top: int, a: float, b: float,
-    side: int, picture: tuple[int, int, int, int], room: _Float32,
+    side: int, border: tuple[int, int, int, int], room: _Float32,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Fill `room` with the wide window at (left + a, top + b) and its derivatives; their products.
+    """Fill `room` with the wide window at (left + a, top + b) and its derivatives; `_products`.
 
-    `picture`: first and last column and row, counted in the window, between which it is shown.
+    `border`: first column and row, last column and row of the image, counted in the window.
     """
     block, wide, by_u, by_v = room[0], room[1], room[3], room[4]
     stride = side + 3
     n = side * stride
-    _cut(image, left, top, stride, stride, block)
-    _between(block, n + 2 * stride, stride, a, b, wide)
+    _copy_rows(image, left, top, stride, stride, block)
+    _interpolate(block, n + 2 * stride, stride, a, b, wide)
     _derivatives(wide, n, stride, by_u, by_v)
-    first, last = max(0, picture[0]), min(side, picture[2])
-    _clear_outside(by_u, side, first, picture[1], last, picture[3])
-    _clear_outside(by_v, side, first, picture[1], last, picture[3])
+    first, last = max(0, border[0]), min(side, border[2])
+    _clear_outside(by_u, side, first, border[1], last, border[3])
+    _clear_outside(by_v, side, first, border[1], last, border[3])
     return _products(n, by_u, by_v)
 
 
-@_compiled
-def _track(
-    source: _Images, target: _Images, n_levels: int, side: int, room: _Float32,
-    u0: float, v0: float, u1: float, v1: float,
-) -> tuple[float, float, bool, float]:  # fmt: skip
-    """Where (u0, v0) of the source is in the target, from (u1, v1); if found; how unlike.
+@reordered_part
+def _descend(
+    image: _Float32, side: int, room: _Float32, u: float, v: float, uu: float, uv: float, vv: float
+) -> tuple[float, float]:
+    """Gauss-Newton steps from (u, v) in one level of the target, for the window in `room`.
 
-    `room` (5, (side + 4)² + LANES): memory to work in, zero at first.
+    `uu`, `uv`, `vv`: the normal matrix, by `_products`.
     """
     block, wide, seen, by_u, by_v = room[0], room[1], room[2], room[3], room[4]
     margin, stride, half = side + 2, side + 3, 0.5 * (side - 1)
-    n, usable = side * stride, False
-    lanes = -(-n // LANES) * LANES  # zero derivatives beyond n: no rest that goes one by one
+    lanes = -(-side * stride // LANES) * LANES  # zero derivatives beyond: no rest one by one
+    height, width = image.shape[0] - 2 * margin, image.shape[1] - 2 * margin
+    det = uu * vv - uv * uv
+    last_u, last_v = 0.0, 0.0
+    block_left, block_top = width, height  # of the block; nowhere yet
+    for step in range(MAX_STEPS):
+        x, y = u - half, v - half
+        left, top = math.floor(x), math.floor(y)
+        if not (-side <= left < width and -side <= top < height):
+            break
+        if left != block_left or top != block_top:
+            _copy_rows(image, left + margin, top + margin, side + 1, stride, block)
+            block_left, block_top = left, top
+        _interpolate(block, lanes, stride, x - left, y - top, seen)
+        bu, bv = _mismatch(seen, wide, lanes, stride, by_u, by_v)
+        du, dv = (uv * bv - vv * bu) / det, (uv * bu - uu * bv) / det
+        u, v = u + du, v + dv
+        if du * du + dv * dv <= SMALL_STEP_PX**2:
+            break
+        if step > 0 and abs(du + last_u) < SMALL_STEP_PX and abs(dv + last_v) < SMALL_STEP_PX:
+            return u - 0.5 * du, v - 0.5 * dv  # to and fro: the middle
+        last_u, last_v = du, dv
+    return u, v
+
+
+@reordered_part
+def _search(
+    source: _Images, target: _Images, n_levels: int, side: int, room: _Float32,
+    u0: float, v0: float, u1: float, v1: float,
+) -> tuple[float, float, bool, float]:  # fmt: skip
+    """Position in the target of (u0, v0) of the source, found from (u1, v1); whether it is found;
+    the photometric residual there.
+
+    `room` (5, (side + 4)² + LANES): memory to work in, zero at first.
+    """
+    block, wide, seen = room[0], room[1], room[2]
+    margin, stride, half, usable = side + 2, side + 3, 0.5 * (side - 1), False
+    lanes = -(-side * stride // LANES) * LANES
     scale = 0.5 ** (n_levels - 1)
     u, v = u1 * scale, v1 * scale
     for level in range(n_levels - 1, -1, -1):
@@ -165,53 +198,32 @@ def _track(
             u, v = 2.0 * u, 2.0 * v
         scale = 0.5**level
         height, width = target[level].shape[0] - 2 * margin, target[level].shape[1] - 2 * margin
-        # the window in the source, with a pixel around it; nothing counts outside the picture
+        # the window in the source, with a pixel around it; nothing counts outside the image
         x, y = u0 * scale - half, v0 * scale - half
         left, top = math.floor(x), math.floor(y)
         usable = -side <= left < width and -side <= top < height
         if not usable:
             continue
-        picture = (-left, -top, width - 1 - left, height - 1 - top)
+        border = (-left, -top, width - 1 - left, height - 1 - top)
         x, y = x - left, y - top
         left, top = left + margin - 1, top + margin - 1
-        uu, uv, vv = _take_window(source[level], left, top, x, y, side, picture, room)
+        uu, uv, vv = _take_window(source[level], left, top, x, y, side, border, room)
         least = 0.5 * (uu + vv - math.sqrt((uu - vv) ** 2 + 4.0 * uv * uv))
         usable = least >= MIN_CURVATURE * side * side
         if not usable:
             continue
-        # Gauss-Newton steps
-        det = uu * vv - uv * uv
-        last_u, last_v = 0.0, 0.0
-        cut_left, cut_top = width, height  # of the block; nowhere yet
-        for step in range(MAX_STEPS):
-            x, y = u - half, v - half
-            left, top = math.floor(x), math.floor(y)
-            if not (-side <= left < width and -side <= top < height):
-                break
-            if left != cut_left or top != cut_top:
-                _cut(target[level], left + margin, top + margin, side + 1, stride, block)
-                cut_left, cut_top = left, top
-            _between(block, lanes, stride, x - left, y - top, seen)
-            bu, bv = _mismatch(seen, wide, lanes, stride, by_u, by_v)
-            du, dv = (uv * bv - vv * bu) / det, (uv * bu - uu * bv) / det
-            u, v = u + du, v + dv
-            if du * du + dv * dv <= SMALL_STEP_PX**2:
-                break
-            if step > 0 and abs(du + last_u) < SMALL_STEP_PX and abs(dv + last_v) < SMALL_STEP_PX:
-                u, v = u - 0.5 * du, v - 0.5 * dv  # to and fro: the middle
-                break
-            last_u, last_v = du, dv
+        u, v = _descend(target[level], side, room, u, v, uu, uv, vv)
     x, y = u - half, v - half
     left, top = math.floor(x), math.floor(y)
     if not (usable and -side <= left < width and -side <= top < height):
         return u, v, False, 0.0
-    _cut(target[0], left + margin, top + margin, side + 1, stride, block)
-    _between(block, lanes, stride, x - left, y - top, seen)
+    _copy_rows(target[0], left + margin, top + margin, side + 1, stride, block)
+    _interpolate(block, lanes, stride, x - left, y - top, seen)
     return u, v, True, _photometric_residual(seen, wide, side, stride)
 
 
 def margin_of(side: int) -> int:
-    """Pixels that a level needs beyond each rim, since a window may lie just outside."""
+    """Padding of each level in pixels, since a window may lie just outside the image."""
     return side + 2
 
 
@@ -226,20 +238,21 @@ def klt_track(
     """Where `points` (N, 2) of the source are in the target, by a search from `start` (N, 2).
 
     `source`, `target`: pyramids, from fine to coarse, each level padded by `margin_of(side)` on all
-    sides; `side` of the window. Positions (N, 2), found (N,) and unlikeness (N,) as in `flow.Flow`.
+    sides; `side` of the window in pixels. Returns positions (N, 2) in pixels, which are found (N,)
+    and photometric residuals (N,) in grey levels, as in `optical_flow.Flow`.
     """
     n = len(points)
     uv, found, photometric_residual = start.copy(), np.zeros(n, dtype=np.bool_), np.zeros(n)
     room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
     for i in range(n):
         u0, v0 = points[i]
-        u, v, ok, unlike = _track(
+        u, v, ok, residual = _search(
             source, target, n_levels, side, room, u0, v0, start[i, 0], start[i, 1]
         )
-        uv[i, 0], uv[i, 1], photometric_residual[i] = u, v, unlike
+        uv[i, 0], uv[i, 1], photometric_residual[i] = u, v, residual
         if ok:
             back_levels = min(BACK_LEVELS, len(source))
-            u, v, ok, _ = _track(target, source, back_levels, side, room, u, v, u0, v0)
+            u, v, ok, _ = _search(target, source, back_levels, side, room, u, v, u0, v0)
             found[i] = ok and math.hypot(u - u0, v - v0) < MAX_ROUND_TRIP_PX
     return uv, found, photometric_residual
 

@@ -1,13 +1,16 @@
-"""Cameras by themselves: features followed in one of them, or in each, and never matched."""
+"""The KLT front end without stereo matching: one camera, or both, each by itself.
+
+OpenVINS calls this a monocular or binocular `TrackKLT` (`use_stereo: false`).
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.camera_tracker import CameraPoints, CameraTracker, FeatureIds, no_focus
 from ovmot.frontend.epipolar import no_matches
-from ovmot.frontend.stereo_tracker import views
+from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
+from ovmot.frontend.preprocessing import preprocess
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
@@ -19,7 +22,7 @@ LEFT, RIGHT = 0, 1
 
 
 class MonocularTracker:
-    """Follows corners through the images of some cameras, each by itself, with ids of their own.
+    """Tracks corners through the images of some cameras, each by itself, with ids of their own.
 
     `sides`: which cameras, of `LEFT` and `RIGHT`. A feature of the right camera has no left pixel.
     """
@@ -29,7 +32,7 @@ class MonocularTracker:
         self._settings = settings
         self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
         ids = FeatureIds()
-        self._followers = {side: CameraTracker(settings, self._workers, ids) for side in sides}
+        self._trackers = {side: KltTracker(settings, self._workers, ids) for side in sides}
         self._positions = {side: np.empty((0, 3)) for side in sides}
 
     def close(self) -> None:
@@ -45,36 +48,36 @@ class MonocularTracker:
         `OvmotError` for a frame without images.
         """
         self._rig = feedback.rig
-        of_both = views(frame, self._rig, self._settings, self._workers)
+        views = preprocess(frame, self._rig, self._settings, self._workers)
         points = {}
-        for side, follower in self._followers.items():
+        for side, tracker in self._trackers.items():
             T = _motion_of(side, T_now_before, self._rig)
-            before = follower.points
-            at_rest = self._positions[side]
-            points[side] = follower.step(of_both[side], at_rest, at_rest, T, no_focus())
-            self._positions[side] = _positions(before, points[side], T)
+            last = tracker.points
+            p_static = self._positions[side]
+            points[side] = tracker.step(views[side], p_static, p_static, T, None)
+            self._positions[side] = _positions(last, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()
 
 
 def _motion_of(side: int, T_now_before: FloatArray, rig: StereoRig) -> FloatArray:
-    """The motion of one camera from that of the left one."""
+    """The motion (4, 4) of one camera from that of the left one."""
     if side == LEFT:
         return T_now_before
     return rig.T_cam1_cam0 @ T_now_before @ se3.inverse(rig.T_cam1_cam0)
 
 
-def _positions(before: CameraPoints, now: CameraPoints, T_now_before: FloatArray) -> FloatArray:
-    """Points (N, 3) in the present camera by the last two views of each; NaN for new ones.
+def _positions(before: TrackedPoints, now: TrackedPoints, T_now_before: FloatArray) -> FloatArray:
+    """Points (N, 3) in the present camera, metres, from the last two views; NaN for new ones.
 
     Only as good as the predicted motion; it serves to predict how the points go on.
     """
     pairs = np.full((len(now), 4), np.nan)
-    followed = before.xy[np.isin(before.feature_id, now.feature_id)]
-    pairs[:, :2], pairs[: len(followed), 2:] = now.xy, followed
+    tracked = before.xy[np.isin(before.feature_id, now.feature_id)]
+    pairs[:, :2], pairs[: len(tracked), 2:] = now.xy, tracked
     return triangulate_stereo(pairs, se3.inverse(T_now_before))
 
 
-def _joined(timestamp_ns: int, points: dict[int, CameraPoints]) -> FrontendFrame:
+def _joined(timestamp_ns: int, points: dict[int, TrackedPoints]) -> FrontendFrame:
     """One frame of the points of all cameras, each in its half of the columns."""
     n = sum(len(p) for p in points.values())
     pixels, normalized = np.full((n, 4), np.nan), np.full((n, 4), np.nan)

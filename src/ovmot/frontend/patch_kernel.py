@@ -1,32 +1,23 @@
 """The compiled alignment of patches, point by point.
 
-It holds no Python lock. tests/frontend/test_patch_kernel.py holds its plain NumPy
-twin.
+It holds no Python lock. `tests/frontend/test_patch_kernel.py` holds its plain NumPy twin.
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernels.cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
 
 _Float32 = npt.NDArray[np.float32]
-_F = TypeVar("_F", bound=Callable[..., Any])
 _SHIFT = 64
 """Added to pixels relative to the patch's centre: what is cut off to a whole number is positive."""
 
 
-def _compiled(function: _F) -> _F:
-    """A part of `align_points`: compiled into it, with no code of its own on disk."""
-    return compiled(function, None, reorder=True)
-
-
-@_compiled
+@reordered_part
 def _sample(
     image: _Float32, u: float, v: float, warp: FloatArray, offsets: _Float32, seen: _Float32
 ) -> None:
@@ -53,11 +44,11 @@ def _sample(
         seen[m] = (one - b) * upper + b * lower
 
 
-@_compiled
-def _sample_at_rim(
+@reordered_part
+def _sample_at_border(
     image: _Float32, u: float, v: float, warp: FloatArray, offsets: _Float32, seen: _Float32
 ) -> None:
-    """The same with the border of the image carried on outwards."""
+    """The same, the image continued outwards by its border pixels."""
     height, width = image.shape
     for m in range(len(seen)):
         x = u + warp[0, 0] * offsets[0, m] + warp[0, 1] * offsets[1, m]
@@ -70,8 +61,8 @@ def _sample_at_rim(
         seen[m] = (1.0 - b) * upper + b * lower
 
 
-@_compiled
-def _is_inside(image: _Float32, u: float, v: float, warp: FloatArray, radius: float) -> bool:
+@reordered_part
+def _in_image(image: _Float32, u: float, v: float, warp: FloatArray, radius: float) -> bool:
     """Does the whole warped patch lie in the image, and is it no larger than `_sample` can take?"""
     reach_u = (abs(warp[0, 0]) + abs(warp[0, 1])) * radius + 1.0
     reach_v = (abs(warp[1, 0]) + abs(warp[1, 1])) * radius + 1.0
@@ -80,7 +71,7 @@ def _is_inside(image: _Float32, u: float, v: float, warp: FloatArray, radius: fl
     return across and reach_v < _SHIFT and reach_v <= v < height - 1 - reach_v
 
 
-@_compiled
+@reordered_part
 def _make_unit(seen: _Float32, root_weight: _Float32) -> None:
     """Take off the weighted mean, weight, and divide by the norm, in place."""
     total, weight_sum, square = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -97,12 +88,45 @@ def _make_unit(seen: _Float32, root_weight: _Float32) -> None:
         seen[m] *= scale
 
 
-@_compiled
+@reordered_part
 def _dot(a: _Float32, b: _Float32) -> float:
     total = np.float32(0.0)
     for m in range(len(a)):
         total += a[m] * b[m]
     return float(total)
+
+
+@reordered_part
+def _newton_step(error: _Float32, steepest: _Float32, inverse: _Float32, step: FloatArray) -> float:
+    """Fill `step` (6,) = inverse (6, 6) steepest (6, M) error (M,); its largest number."""
+    step[:] = 0.0
+    for k in range(6):
+        gradient = _dot(error, steepest[k])
+        for j in range(6):
+            step[j] += inverse[j, k] * gradient
+    largest = 0.0
+    for j in range(6):
+        largest = max(largest, abs(step[j]))
+    return largest
+
+
+@part
+def _compose(uv: FloatArray, warp: FloatArray, step: FloatArray, radius: float) -> bool:
+    """Inverse composition, in place: warp <- warp (I + A)⁻¹, uv <- uv - warp b; False where
+    I + A is singular. `step` (6,) is b and the rows of A times the radius."""
+    c00, c01 = 1.0 + step[2] / radius, step[3] / radius
+    c10, c11 = step[4] / radius, 1.0 + step[5] / radius
+    det = c00 * c11 - c01 * c10
+    if abs(det) < 1e-6:
+        return False
+    w00, w01, w10, w11 = warp[0, 0], warp[0, 1], warp[1, 0], warp[1, 1]
+    warp[0, 0] = (w00 * c11 - w01 * c10) / det
+    warp[0, 1] = (w01 * c00 - w00 * c01) / det
+    warp[1, 0] = (w10 * c11 - w11 * c10) / det
+    warp[1, 1] = (w11 * c00 - w10 * c01) / det
+    uv[0] -= warp[0, 0] * step[0] + warp[0, 1] * step[1]
+    uv[1] -= warp[1, 0] * step[0] + warp[1, 1] * step[1]
+    return True
 
 
 def align_points(
@@ -128,43 +152,25 @@ def align_points(
     radius = float(offsets.max())
     correlation = np.zeros(n_points)
     error = np.empty(n_pixels, dtype=np.float32)
-    gradient, step = np.empty(6), np.empty(6)
+    step = np.empty(6)
     for n in range(n_points):
         start_u, start_v = uv[n, 0], uv[n, 1]
         if not (math.isfinite(start_u) and math.isfinite(start_v)):
             continue
         for _ in range(max_steps):
             # the error against the patch, and the Gauss-Newton step
-            if _is_inside(image, uv[n, 0], uv[n, 1], warp[n], radius):
+            if _in_image(image, uv[n, 0], uv[n, 1], warp[n], radius):
                 _sample(image, uv[n, 0], uv[n, 1], warp[n], offsets, error)
             else:
-                _sample_at_rim(image, uv[n, 0], uv[n, 1], warp[n], offsets, error)
+                _sample_at_border(image, uv[n, 0], uv[n, 1], warp[n], offsets, error)
             _make_unit(error, root_weight)
             for m in range(n_pixels):
                 error[m] -= grey[n, m]
             correlation[n] = 1.0 - 0.5 * _dot(error, error)
-            for k in range(6):
-                gradient[k] = _dot(error, steepest[n, k])
-            largest = 0.0
-            for j in range(6):
-                step[j] = 0.0
-                for k in range(6):
-                    step[j] += inverse[n, j, k] * gradient[k]
-                largest = max(largest, abs(step[j]))
-            # warp <- warp (I + A)^-1, uv <- uv - warp b: the inverse composition
-            c00, c01 = 1.0 + step[2] / radius, step[3] / radius
-            c10, c11 = step[4] / radius, 1.0 + step[5] / radius
-            det = c00 * c11 - c01 * c10
-            if abs(det) < 1e-6:
+            largest = _newton_step(error, steepest[n], inverse[n], step)
+            if not _compose(uv[n], warp[n], step, radius):
                 correlation[n] = 0.0
                 break
-            w00, w01, w10, w11 = warp[n, 0, 0], warp[n, 0, 1], warp[n, 1, 0], warp[n, 1, 1]
-            warp[n, 0, 0] = (w00 * c11 - w01 * c10) / det
-            warp[n, 0, 1] = (w01 * c00 - w00 * c01) / det
-            warp[n, 1, 0] = (w10 * c11 - w11 * c10) / det
-            warp[n, 1, 1] = (w11 * c00 - w10 * c01) / det
-            uv[n, 0] -= warp[n, 0, 0] * step[0] + warp[n, 0, 1] * step[1]
-            uv[n, 1] -= warp[n, 1, 0] * step[0] + warp[n, 1, 1] * step[1]
             away = math.hypot(uv[n, 0] - start_u, uv[n, 1] - start_v)
             if not away < max_shift or largest <= small_step:
                 break

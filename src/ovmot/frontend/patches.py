@@ -1,11 +1,11 @@
 """Affine alignment of patches with what they looked like when first seen.
 
 Frame-to-frame flow adds up its errors, and a window that only shifts does not fit ground that is
-seen at a slant: from one frame to the next, and from left to right, it slides. Each feature
+seen at a slant: from one frame to the next, and from left to right, it drifts. Each feature
 therefore keeps its first patch, and every match is refined against it under an affine warp (J. Shi
 & C. Tomasi, CVPR 1994) by inverse compositional Gauss-Newton steps (S. Baker & I. Matthews, IJCV
-2004), on all features at once. Patches are compared with their mean taken off and their norm
-divided out, under a Gaussian weight around the centre.
+2004), on all features at once. Patches are compared with zero mean and unit norm, under a Gaussian
+weight around the centre.
 """
 
 from concurrent.futures import Executor
@@ -15,27 +15,35 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ovmot.frontend.klt_kernel import MAX_STEPS, SMALL_STEP_PX
+from ovmot.frontend.optical_flow import MIN_CORRELATION
 from ovmot.frontend.patch_kernel import align_points_compiled
-from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _Float32 = npt.NDArray[np.float32]
 
-_RADIUS = 6  # pixels: patches are 13 wide
-_WEIGHT_SIGMA_PX = 3.0
-_MAX_STEPS = 8
-_SMALL_STEP_PX = 0.02
-_MAX_SHIFT_PX = 3.0  # from where the flow had ended
-_MIN_CORRELATION = 0.85
-_DAMPING = 1e-3  # of the mean curvature: texture along one direction only does not run away
-_SCALES = (0.6, 1.7)  # a patch seen larger or smaller than this is taken anew
-_BLUR_PX = 0.8  # bilinear sampling between pixels then costs little sharpness
+_RADIUS = 6
+"""Pixels from the centre of a patch to its border: it is 13 wide, 2 more than a window of flow."""
 
-_axis = np.arange(-_RADIUS, _RADIUS + 1, dtype=np.float32)
-_OFFSETS: _Float32 = np.stack(np.meshgrid(_axis, _axis), axis=-1).reshape(-1, 2)
+
+def _square(radius: int) -> _Float32:
+    """Offsets (M, 2) in pixels of a square patch from its centre, by rows."""
+    axis = np.arange(-radius, radius + 1, dtype=np.float32)
+    return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+
+
+def _root_weight(offsets: _Float32, sigma_px: float) -> _Float32:
+    """Square roots (M,) of a Gaussian weight: what lies off the centre counts less, since at an
+    outline it belongs to another body."""
+    return np.asarray(np.exp(-0.25 * (offsets**2).sum(axis=1) / sigma_px**2), dtype=np.float32)
+
+
+_OFFSETS = _square(_RADIUS)
 _BY_AXIS: _Float32 = np.ascontiguousarray(_OFFSETS.T)
-
-# What lies off the centre counts less: at an outline it belongs to another body.
-_ROOT_WEIGHT: _Float32 = np.exp(-0.25 * (_OFFSETS**2).sum(axis=1) / _WEIGHT_SIGMA_PX**2)
+_SIGMA_PX = _RADIUS / 2
+"""Of the weight, as D. Lowe has it for descriptors (IJCV 2004): half of the patch's half width. A
+patch that moves by more than this from where flow has put it has found another one."""
+_ROOT_WEIGHT = _root_weight(_OFFSETS, _SIGMA_PX)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,17 +92,15 @@ class Patches:
         )
 
 
-def smoothed(image: Image) -> _Float32:
-    """The image as patches are cut from it and aligned with it."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR_PX), dtype=np.float32)
+def cut_patches(image: _Float32, uv: FloatArray, *, damping: float = 1e-3) -> Patches:
+    """Patches around pixels (N, 2) of a smoothed image (height, width), as they are seen there.
 
-
-def cut_patches(image: _Float32, uv: FloatArray) -> Patches:
-    """Patches around pixels (N, 2) of a smoothed image, as they are seen there."""
+    `damping`, a share of the mean curvature, keeps texture along one direction from running away
+    along the other.
+    """
     n, side = len(uv), 2 * _RADIUS + 3
-    axis = np.arange(side, dtype=np.float32) - (_RADIUS + 1)
-    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    wide = _sample(image, uv, np.broadcast_to(np.eye(2), (n, 2, 2)), grid).reshape(n, side, side)
+    identity = np.broadcast_to(np.eye(2), (n, 2, 2))
+    wide = _sample(image, uv, identity, _square(_RADIUS + 1)).reshape(n, side, side)
     grey, norm = weighted_unit(wide[:, 1:-1, 1:-1].reshape(n, len(_OFFSETS)))
     by_u = 0.5 * (wide[:, 1:-1, 2:] - wide[:, 1:-1, :-2]).reshape(n, len(_OFFSETS)) / norm
     by_v = 0.5 * (wide[:, 2:, 1:-1] - wide[:, :-2, 1:-1]).reshape(n, len(_OFFSETS)) / norm
@@ -104,10 +110,9 @@ def cut_patches(image: _Float32, uv: FloatArray) -> Patches:
     steepest = (steepest - (steepest @ weight)[..., None]) * _ROOT_WEIGHT
     steepest -= (steepest @ grey[..., None]) * grey[:, None]  # what a gain would explain
     H = steepest @ np.swapaxes(steepest, 1, 2)
-    damping = _DAMPING * np.trace(H, axis1=1, axis2=2) / 6.0 + 1e-9
-    inverse = np.linalg.inv(H + damping[:, None, None] * np.eye(6, dtype=np.float32))
-    warp = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
-    return Patches(grey, steepest, inverse.astype(np.float32), warp)
+    added = damping * np.trace(H, axis1=1, axis2=2) / 6.0 + 1e-9
+    inverse = np.linalg.inv(H + added[:, None, None] * np.eye(6, dtype=np.float32))
+    return Patches(grey, steepest, inverse.astype(np.float32), identity.copy())
 
 
 def no_patches() -> Patches:
@@ -124,8 +129,8 @@ def align(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Where the patches are in a smoothed image: uv (N, 2), warps (N, 2, 2), and which fit (N,).
 
-    From `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves of the
-    points run in two threads, each point by itself, so the answer does not depend on the split.
+    From pixels `start` (N, 2) and `start_warp` (N, 2, 2); what does not fit may be anywhere. Halves
+    of the points run in two threads, each point by itself: the result does not depend on that.
     """
     uv, warp = start.astype(np.float64), start_warp.astype(np.float64)
     half = (len(uv) + 1) // 2
@@ -134,29 +139,34 @@ def align(
         workers.submit(
             align_points_compiled, image, patches.grey[part], patches.steepest[part],
             patches.inverse[part], _ROOT_WEIGHT, _BY_AXIS, uv[part], warp[part],
-            _MAX_STEPS, _SMALL_STEP_PX, _MAX_SHIFT_PX,
+            MAX_STEPS, SMALL_STEP_PX, _SIGMA_PX,
         )
         for part in parts
     ]  # fmt: skip
     correlation = np.concatenate([job.result() for job in jobs])
     shift = np.linalg.norm(uv - start, axis=1)
     with np.errstate(invalid="ignore"):
-        fits = (shift < _MAX_SHIFT_PX) & (correlation > _MIN_CORRELATION)
+        fits = (shift < _SIGMA_PX) & (correlation > MIN_CORRELATION)
     return uv, warp, fits
 
 
-def followed(
-    patches: Patches, image: _Float32, start: FloatArray, workers: Executor
+def refine_tracked(
+    patches: Patches,
+    image: _Float32,
+    start: FloatArray,
+    workers: Executor,
+    *,
+    max_scale: float = 1.7,
 ) -> tuple[FloatArray, Patches]:
-    """Refined pixels (N, 2) in the next smoothed left image, and the patches as seen there.
+    """Refined pixels (N, 2) in the next smoothed image, and the patches as they are seen there.
 
-    Those that do not fit any more, or are seen at another scale, stay where the flow left them or
-    the alignment put them, and are taken anew.
+    `start` (N, 2): positions by optical flow. Patches that do not fit any more stay there; these,
+    and those that are seen larger or smaller by more than `max_scale`, are cut anew.
     """
     uv, warp, fits = align(patches, image, start, patches.warp, workers)
     uv = np.where(fits[:, None], uv, start)
     scale = np.linalg.svd(np.where(fits[:, None, None], warp, np.eye(2)), compute_uv=False)
-    stale = ~fits | (scale.max(axis=1) > _SCALES[1]) | (scale.min(axis=1) < _SCALES[0])
+    stale = ~fits | (scale.max(axis=1) > max_scale) | (scale.min(axis=1) < 1.0 / max_scale)
     out = replace(patches, warp=warp)
     if stale.any():
         out = out.put(stale, cut_patches(image, uv[stale]))
@@ -164,7 +174,7 @@ def followed(
 
 
 def _sample(image: _Float32, uv: FloatArray, warp: FloatArray, offsets: _Float32) -> _Float32:
-    """Grey levels (N, M) at uv + warp offset; the border is carried on outwards."""
+    """Grey levels (N, M) at uv + warp offset; the image continued by its border."""
     if not len(uv):
         return np.empty((0, len(offsets)), dtype=np.float32)
     where = uv[:, None].astype(np.float32) + offsets @ np.swapaxes(warp, 1, 2).astype(np.float32)

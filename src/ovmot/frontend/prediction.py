@@ -1,4 +1,4 @@
-"""Where features should be found: start positions for optical flow."""
+"""Predicted positions of features in the image: where optical flow starts."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -9,17 +9,17 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 _NEAREST = 5
-_LEAST_EXTRA_PX = 3.0
-_MAX_EXTRA_FLOW_PX = 80.0
+"""Neighbours in the image whose median is taken: two may be wrong."""
 
 
 def predict_pixels(
     xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, camera: Camera
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixels (N, 2) now of points at rest, and their depth (N,), NaN where unknown.
+    """Pixels (N, 2) now of static points, and their depth (N,) in metres, NaN where unknown.
 
-    `p_before` (N, 3): positions in the camera's frame of before; a point without one is taken as
-    infinitely far, so that it moves by the rotation alone. NaN for pixels outside the lens model.
+    `xy_before` (N, 2): normalized coordinates; `p_before` (N, 3): positions in the camera's frame
+    of before, metres. A point without one is taken as infinitely far, so that the rotation alone
+    moves it. NaN for pixels outside the camera model.
     """
     ray = np.concatenate([xy_before, np.ones((len(xy_before), 1))], axis=1)
     far = ray @ T_now_before[:3, :3].T
@@ -29,38 +29,45 @@ def predict_pixels(
     return camera.project(point), np.where(usable, near[:, 2], np.nan)
 
 
-def unexplained_flow(found: FloatArray, at_rest: FloatArray, explained: BoolArray) -> FloatArray:
-    """Image motion (N, 2) beyond that of a point at rest, carried on for points that move.
+def unexplained_flow(
+    found: FloatArray, static_uv: FloatArray, explained: BoolArray, most_px: float
+) -> FloatArray:
+    """Image motion (N, 2) in pixels beyond that of a static point, predicted for the next image.
 
-    Zero for points that the two-view test explains, and where the difference is no motion's.
+    `found`, `static_uv` (N, 2): where the points are, and where static ones would be. Zero for
+    points that the two-view test explains (N,), and beyond `most_px`: a mismatch.
     """
-    extra = found - at_rest
+    extra = found - static_uv
     size = np.linalg.norm(extra, axis=1)
-    carried = ~explained & np.isfinite(size) & (size < _MAX_EXTRA_FLOW_PX)
-    return np.where(carried[:, None], extra, 0.0)
+    predicted = ~explained & np.isfinite(size) & (size < most_px)
+    return np.where(predicted[:, None], extra, 0.0)
 
 
 def flow_nearby(
-    uv: FloatArray, at_rest: FloatArray, found: FloatArray, ok: BoolArray
+    uv: FloatArray, static_uv: FloatArray, found: FloatArray, ok: BoolArray, least_px: float
 ) -> FloatArray:
-    """Where lost points would be, had they gone as the movers around them: (N, 2), NaN for others.
+    """Where lost points would be, had they moved as the movers around them: (N, 2), else NaN.
 
-    `found` (N, 2) of the points `uv` (N, 2) that are `ok` (N,), against `at_rest` (N, 2).
+    `found` (N, 2) of the points `uv` (N, 2) that are `ok` (N,), against `static_uv` (N, 2), all in
+    pixels. Movers are those that are more than `least_px` from where they would be if static.
     """
     start = np.full(uv.shape, np.nan)
-    extra = found - at_rest
+    extra = found - static_uv
     with np.errstate(invalid="ignore"):
-        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > _LEAST_EXTRA_PX))
+        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > least_px))
     lost = np.flatnonzero(~ok)
     if len(moves) < _NEAREST or len(lost) == 0:
         return start
     _, nearest = cKDTree(uv[moves]).query(uv[lost], k=_NEAREST)
-    start[lost] = at_rest[lost] + np.median(extra[moves][nearest], axis=1)
+    start[lost] = static_uv[lost] + np.median(extra[moves][nearest], axis=1)
     return start
 
 
 def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray:
-    """Depths (N,) with unknown ones taken from the median of the nearest known in the image."""
+    """Depths (N,), metres, with unknown ones taken from the median of the nearest known pixels.
+
+    `default` where too few are known.
+    """
     known = np.flatnonzero(np.isfinite(depth))
     unknown = np.flatnonzero(~np.isfinite(depth))
     if len(unknown) == 0:
@@ -75,6 +82,6 @@ def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray
 
 
 def predict_right(xy_left: FloatArray, depth: FloatArray, rig: StereoRig) -> FloatArray:
-    """Right pixels (N, 2) of left plane coordinates (N, 2) at given depths (N,), metres."""
+    """Right pixels (N, 2) of left normalized coordinates (N, 2) at given depths (N,), metres."""
     ray = np.concatenate([xy_left, np.ones((len(xy_left), 1))], axis=1)
     return rig.cam1.project(se3.apply(rig.T_cam1_cam0, ray * depth[:, None]))

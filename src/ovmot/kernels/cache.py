@@ -50,6 +50,11 @@ def part(function: _F) -> _F:
     return _njit(function, cache=False, reorder=False)
 
 
+def reordered_part(function: _F) -> _F:
+    """The same, with sums that may be added up in another order: see `compiled`."""
+    return _njit(function, cache=False, reorder=True)
+
+
 def _njit(function: _F, cache: bool, reorder: bool) -> _F:
     fastmath = {"reassoc", "contract", "nsz"} if reorder else False
     decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache, fastmath=fastmath)

@@ -1,4 +1,4 @@
-"""Groups of points that are near each other and move alike: the candidates for rigid bodies."""
+"""Clusters of neighbouring points with one velocity: the candidates for rigid bodies."""
 
 from dataclasses import dataclass, replace
 
@@ -11,8 +11,8 @@ from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance
-from ovmot.objects.components_kernel import components_compiled
-from ovmot.physics import ACCEL_SIGMA_MPS2, gates
+from ovmot.objects.clustering_kernel import components_compiled
+from ovmot.physics import ACCEL_SIGMA_MPS2, MAX_VEHICLE_SIZE_M, TURN_SPREAD_MPS, gate, gates
 from ovmot.segmentation.history_kernel import (
     distance_from_static_compiled,
     fit_velocities_compiled,
@@ -28,13 +28,13 @@ from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
-_SPREAD_SHARE = 0.05  # and as a share of the speed
-_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
-_REACH_SIGMAS = 2.0  # along the ray, on top of the radius
-_SPEED_SPREAD = 0.5  # m/s by which points of one turning body may differ
+_SPREAD_SHARE = 0.05  # of the speed, by which points of one body may differ
+_REACH_SIGMAS = 2.0  # of the position, on top of the radius and of a gap
 _MOVES = 4.11  # 75 % of the same: less tells no motion
 _HINT = 4.0  # squared sigmas that make a point worth a closer look
-_NEIGHBOURS = 5  # nearest ones among which two must be to be linked
+_MAX_POINTS = 240  # that are looked at in a frame; those tracked longest come first
+_POINTS_PER_TRACK = 40  # of these, points of one track
+_NEIGHBOURS = 5  # two linked points are among each other's so many nearest ones
 _KNOWN_REACH = 2.0  # of the radius, between parts of one track
 _WIDTH_SIGMAS = 4.0  # by which points of one body may scatter beyond it
 _LEAST_GAP_M = 0.5  # between two vehicles side by side
@@ -45,16 +45,16 @@ _BRAKING_S = 0.45  # over which one velocity explains also a car on its brakes
 class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
-    `feature_id` (M,), `owner` (M,): the track that has it, -1 for none; `track_length` (L,): frames
-    since. `history` holds the plane coordinates, `predicted` (L, M, 3) where the ego motion alone
-    would put the points, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) where they are. `weight` (L, M,
-    4, 4): inverse of the comparison's S_motion, zero where untested; `information` (L, M, 3, 3):
-    what it tells of the way since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over all rows,
-    in the camera's axes; `up` (3,): the world's z.
+    `feature_id` (M,), `track_id` (M,): the object track that holds it, -1 for none; `track_length`
+    (L,): frames since. `history` holds the normalized coordinates, `predicted` (L, M, 3) the points
+    at rest under the ego motion, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) the points now, metres.
+    `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero where untested; `information`
+    (L, M, 3, 3): of the displacement since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over
+    all rows, in the camera's axes; `up` (3,): the world's z.
     """
 
     feature_id: IntArray
-    owner: IntArray
+    track_id: IntArray
     history: StereoHistory
     predicted: FloatArray
     p_cam0: FloatArray
@@ -92,7 +92,7 @@ def motion_history(
         return None
     known = np.isfinite(history.p_then[:, candidate, 2]).sum(0)
     u, owner = points.pixels[candidate, 0], points.track_id[candidate]
-    candidate = candidate[_chosen(known, u, owner, settings)]
+    candidate = candidate[_chosen(known, u, owner)]
     history = history.only(candidate)
     comparison = compare_with_static(history, window, rig)
     velocity, covariance, steady = _fit(comparison)
@@ -108,7 +108,7 @@ def motion_history(
     history = history.only(kept)
     return MotionHistory(
         feature_id=history.feature_id,
-        owner=points.track_id[candidate[kept]],
+        track_id=points.track_id[candidate[kept]],
         history=history,
         predicted=comparison.predicted.take(kept, axis=1),
         p_cam0=history.p_now,
@@ -121,7 +121,7 @@ def motion_history(
     )
 
 
-def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSettings) -> IntArray:
+def _chosen(known: IntArray, u: FloatArray, owner: IntArray) -> IntArray:
     """Which of the points (N,) to look at, seen in `known` rows at image columns `u`.
 
     Of a track as many as tell enough, from all over it, or a large body would leave none for the
@@ -130,12 +130,12 @@ def _chosen(known: IntArray, u: FloatArray, owner: IntArray, settings: ObjectSet
     looked_at = np.ones(len(owner), dtype=np.bool_)
     for track_id in np.unique(owner[owner >= 0]):
         own = np.flatnonzero((owner == track_id) & (known > 1))
-        if len(own) > settings.points_per_track:
+        if len(own) > _POINTS_PER_TRACK:
             across = own[np.argsort(u[own], kind="stable")]
             looked_at[own] = False
-            looked_at[across[:: -(-len(own) // settings.points_per_track)]] = True
+            looked_at[across[:: -(-len(own) // _POINTS_PER_TRACK)]] = True
     some = np.flatnonzero(looked_at)
-    longest = np.argsort(-known[some], kind="stable")[: settings.max_points]
+    longest = np.argsort(-known[some], kind="stable")[:_MAX_POINTS]
     return np.sort(some[longest])
 
 
@@ -162,51 +162,52 @@ def _shortened(comparison: StaticComparison, which: BoolArray) -> StaticComparis
 
 
 def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:
-    """Indices of the points of each connected component of like movers, largest first.
+    """Indices of the points of each cluster, largest first.
 
-    Components that move alike, touch, and together are no wider than a body are one. Points of
-    different tracks are not: walkers side by side stay two.
+    Connected components of neighbours with one velocity. Components that have one velocity, touch,
+    and together are no wider than a body are merged. Points of different tracks are never linked:
+    walkers side by side stay two.
     """
-    scaled = _stretched(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
-    pairs = _near_pairs(scaled, settings.neighbour_radius_m)
-    pairs = pairs[_same_velocity(points, pairs) & _may_be_linked(points.owner[pairs])]
+    scaled = _depth_scaled(points.p_cam0, points.cov_cam0, settings.neighbour_radius_m)
+    pairs = _neighbour_pairs(scaled, settings.neighbour_radius_m)
+    pairs = pairs[_same_velocity(points, pairs) & _compatible_pairs(points.track_id[pairs])]
     component = components_compiled(pairs, len(points.feature_id))
-    apart = cdist(scaled, scaled)
+    distance = cdist(scaled, scaled)
     several = np.flatnonzero(np.bincount(component) > 1)
-    found = [np.flatnonzero(component == k) for k in several]
-    cut = [piece for whole in found for piece in _cut_where_wide(points, whole, settings)]
-    pieces = sorted(cut, key=len, reverse=True)
-    joined: list[IntArray] = []
-    for piece in pieces:
-        for k, whole in enumerate(joined):
-            if _are_one(points, apart, whole, piece, settings):
-                joined[k] = np.concatenate([whole, piece])
+    linked = [np.flatnonzero(component == k) for k in several]
+    narrow = [part for whole in linked for part in _split_at_gap(points, whole, settings)]
+    groups: list[IntArray] = []
+    for part in sorted(narrow, key=len, reverse=True):
+        for k, group in enumerate(groups):
+            if _are_one_body(points, distance, group, part, settings):
+                groups[k] = np.concatenate([group, part])
                 break
         else:
-            joined.append(piece)
-    return tuple(group for group in joined if len(group) >= settings.min_points)
+            groups.append(part)
+    return tuple(group for group in groups if len(group) >= settings.min_points)
 
 
-def _cut_where_wide(
+def _split_at_gap(
     points: MotionHistory, index: IntArray, settings: ObjectSettings
 ) -> list[IntArray]:
-    """A component (n,), or the pieces of one that is wider than a body, cut at the widest gap.
+    """A component (n,), or the parts of one that is wider than a body, split at its widest gap.
 
     Vehicles that start side by side move alike and are linked over the gap between them.
     """
-    place, sigma = _across(points, index)
-    order = np.argsort(place)
-    gaps = np.diff(place[order])
-    wide = np.ptp(place) - _WIDTH_SIGMAS * sigma > settings.body_width_m
+    lateral, sigma = _lateral_positions(points, index)
+    order = np.argsort(lateral)
+    gaps = np.diff(lateral[order])
+    wide = np.ptp(lateral) - _WIDTH_SIGMAS * sigma > MAX_VEHICLE_SIZE_M[1]
     if not wide or gaps.max() < _LEAST_GAP_M + _REACH_SIGMAS * sigma:
         return [index]
     cut = int(np.argmax(gaps)) + 1
-    parts = index[order[:cut]], index[order[cut:]]
-    return [piece for part in parts for piece in _cut_where_wide(points, part, settings)]
+    sides = index[order[:cut]], index[order[cut:]]
+    return [part for side in sides for part in _split_at_gap(points, side, settings)]
 
 
-def _across(points: MotionHistory, index: IntArray) -> tuple[FloatArray, float]:
-    """Places of points (n,) across their common velocity, level, and their deviation, metres."""
+def _lateral_positions(points: MotionHistory, index: IntArray) -> tuple[FloatArray, float]:
+    """Horizontal positions (n,) of points across their median velocity, and their standard
+    deviation, metres."""
     across = so3.hat(points.up) @ _median(points.velocity[index])
     across = across / max(float(np.linalg.norm(across)), 1e-9)
     variance = _median((points.cov_cam0[index] @ across) @ across)
@@ -220,73 +221,84 @@ def _median(rows: FloatArray) -> FloatArray:
     return median
 
 
-def _are_one(
+def _are_one_body(
     points: MotionHistory,
-    apart: FloatArray,
-    whole: IntArray,
-    piece: IntArray,
+    distance: FloatArray,
+    group: IntArray,
+    part: IntArray,
     settings: ObjectSettings,
 ) -> bool:
-    """Do two groups touch, move alike, and together measure no more across than a body?"""
-    owner, other = main_owner(points.owner[whole]), main_owner(points.owner[piece])
-    if not may_be_one(owner, other):
+    """Do two groups touch, have one velocity, and together measure no more across than a body?"""
+    track_id, other = majority_track(points.track_id[group]), majority_track(points.track_id[part])
+    if not compatible_tracks(track_id, other):
         return False
-    known = owner == other >= 0  # of one track: a lorry's far end
-    reach = settings.neighbour_radius_m * (_KNOWN_REACH if known else 1.0)
-    if apart[whole[:, None], piece].min() > reach:
+    same_track = track_id == other >= 0  # the far end of a lorry
+    reach = settings.neighbour_radius_m * (_KNOWN_REACH if same_track else 1.0)
+    if distance[group[:, None], part].min() > reach:
         return False
-    v_whole, v_piece = (_median(points.velocity[index]) for index in (whole, piece))
-    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(v_whole))
-    C = spread**2 * np.eye(3)
-    for index in (whole, piece):
-        C = C + points.velocity_cov[index].mean(0) / len(index)
-    dv = v_whole - v_piece
-    if dv @ np.linalg.solve(C, dv) > _GATE:
+    v_group, v_part = (_median(points.velocity[index]) for index in (group, part))
+    C = sum(points.velocity_cov[index].mean(0) / len(index) for index in (group, part))
+    if not same_body_velocity(v_part, v_group, C, 0.99):
         return False
-    place, sigma = _across(points, np.concatenate([whole, piece]))
-    return bool(np.ptp(place) - 2.0 * sigma < settings.body_width_m)
+    lateral, sigma = _lateral_positions(points, np.concatenate([group, part]))
+    return bool(np.ptp(lateral) - 2.0 * sigma < MAX_VEHICLE_SIZE_M[1])
 
 
-def _may_be_linked(owners: IntArray) -> BoolArray:
-    """Which pairs of owners (P, 2) are not two different tracks."""
-    one: BoolArray = (owners[:, 0] == owners[:, 1]) | (owners < 0).any(axis=1)
-    return one
+def same_body_velocity(
+    velocity: FloatArray, of_body: FloatArray, covariance: FloatArray, probability: float
+) -> bool:
+    """May a velocity (3,) be that of a part of a body with velocity `of_body` (3,), in m/s?
+
+    `covariance` (3, 3): of their difference; to it comes the spread of velocities of a turning
+    body. `probability`: of being accepted, for a part of the body.
+    """
+    spread = TURN_SPREAD_MPS + _SPREAD_SHARE * float(np.linalg.norm(of_body))
+    C = covariance + spread**2 * np.eye(3)
+    dv = of_body - velocity
+    return bool(dv @ np.linalg.solve(C, dv) < gate(3, probability))
 
 
-def may_be_one(owner: int, other: int) -> bool:
-    """Are these owners of groups not two different tracks?"""
-    return owner == other or min(owner, other) < 0
+def _compatible_pairs(track_ids: IntArray) -> BoolArray:
+    """Which pairs of track ids (P, 2) are not two different tracks; -1 is no track."""
+    compatible: BoolArray = (track_ids[:, 0] == track_ids[:, 1]) | (track_ids < 0).any(axis=1)
+    return compatible
 
 
-def main_owner(owner: IntArray) -> int:
-    """The track that has most of the owned points (n,); -1 where none is owned."""
-    owned = owner[owner >= 0]
-    return int(np.bincount(owned).argmax()) if len(owned) else -1
+def compatible_tracks(track_id: int, other: int) -> bool:
+    """Are these not two different tracks? -1 is no track."""
+    return track_id == other or min(track_id, other) < 0
 
 
-def _stretched(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> FloatArray:
-    """Points (M, 3) with a depth in which near means within `radius`, as across the ray.
+def majority_track(track_id: IntArray) -> int:
+    """The track that holds most of the points (n,); -1 where no track holds one."""
+    held = track_id[track_id >= 0]
+    return int(np.bincount(held).argmax()) if len(held) else -1
 
-    Along the ray stereo scatters by s z², so that the reach there is r + k s z². In the depth
-    u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r everywhere.
+
+def _depth_scaled(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> FloatArray:
+    """Points (M, 3) with their depth scaled so that the search radius is the same along the ray.
+
+    The standard deviation of stereo depth is s z², so that the reach along the ray is r + k s z².
+    In the depth u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r
+    everywhere.
     """
     z = p_cam0[:, 2]
-    # Two points scatter: √2 of one.
+    # The difference of two points has √2 times the deviation of one.
     ks = _REACH_SIGMAS * np.sqrt(2.0) * float(np.median(np.sqrt(cov_cam0[:, 2, 2]) / z**2))
     u = np.sqrt(radius / ks) * np.arctan(z * np.sqrt(ks / radius))
     return np.column_stack([p_cam0[:, :2], u])
 
 
-def _near_pairs(scaled: FloatArray, radius: float) -> IntArray:
-    """Pairs (P, 2) within `radius` that are each among the other's nearest few.
+def _neighbour_pairs(scaled: FloatArray, radius: float) -> IntArray:
+    """Pairs (P, 2) of mutual nearest neighbours within `radius`.
 
-    So bodies side by side stay apart where they have many points.
+    Mutual ones only, so that bodies side by side with many points stay apart.
     """
     n = len(scaled)
     k = min(_NEIGHBOURS + 1, n)
     found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=radius)
-    apart, other = np.asarray(found[0]), np.asarray(found[1])
-    a, slot = np.nonzero(np.isfinite(apart[:, 1:]))
+    distance, other = np.asarray(found[0]), np.asarray(found[1])
+    a, slot = np.nonzero(np.isfinite(distance[:, 1:]))
     link = np.sort(a * n + other[:, 1:][a, slot])  # from k to m: k n + m
     start, end = np.divmod(link, n)
     mutual = (start < end) & contained(end * n + start, link)
@@ -297,6 +309,6 @@ def _same_velocity(points: MotionHistory, pairs: IntArray) -> BoolArray:
     """Which pairs (P,) have velocities that agree within their covariance."""
     a, b = pairs[:, 0], pairs[:, 1]
     dv = points.velocity[a] - points.velocity[b]
-    C = points.velocity_cov[a] + points.velocity_cov[b] + _SPEED_SPREAD**2 * np.eye(3)
-    agrees: BoolArray = squared_distance(dv, C) < _GATE
+    C = points.velocity_cov[a] + points.velocity_cov[b] + TURN_SPREAD_MPS**2 * np.eye(3)
+    agrees: BoolArray = squared_distance(dv, C) < gate(3, 0.99)
     return agrees

@@ -1,29 +1,27 @@
-"""Features that were seen some tenths of a second ago and are seen now: how each has moved.
+"""Motions of single features over the last tenths of a second, whatever body they are of.
 
-A car that stops has no motion to be found by, and one that was hidden comes back with few features.
-What is known of a track then tells which features are its own.
+A car that stops is not measured as a moving body, and one that was hidden comes back with few
+features. The motion of each feature, against the predicted one of a track, tells which are its own.
 """
 
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import positions
-from ovmot.geometry.triangulation import inverse_3x3, squared_distance
+from ovmot.geometry.triangulation import squared_distance
+from ovmot.physics import ACCEL_SIGMA_MPS2, gate
 from ovmot.types import ScenePoints
 
-_MIN_FEATURES = 3
-_MOST_FEATURES = 24  # of one body: more tell little more
-_AGREE_SIGMAS = 3.0
 _MEMORY_S = 0.8
-_SHORTEST_S = 0.05
-_ACCEL_SIGMA = 2.0  # m/s²: how much a road user's velocity changes
-_SPEED_SPREAD = 0.2  # m/s by which features of one body may differ
-_CHOSEN_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
+SPEED_SPREAD = 0.2
+"""m/s by which features of one body may differ."""
 _LEAST_REACH_MPS, _SPEED_REACH = 1.0, 0.3  # how far off a joining feature's velocity may be
-_BETTER_THAN_REST = 9.0  # squared sigmas by which a body's motion must explain more than rest
+CLEARLY = 2.0 * log(100.0)
+"""Difference of squared Mahalanobis distances of which one motion is a hundred times likelier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +29,8 @@ class FeatureMotions:
     """N features now: ids, positions in world and their covariance (N, 3, 3), and the velocity
     (N, 3) of each with its covariance (N, 3, 3); NaN where not known.
 
-    `change` (N,): the part of its variance, in any direction, that a change of velocity on the way
-    makes. Features of one body have that in common.
+    `change` (N,): the part of a possible acceleration in that variance, in any direction. It is
+    common to the features of one body.
     """
 
     feature_id: IntArray
@@ -48,21 +46,8 @@ class FeatureMotions:
         return np.asarray(np.isfinite(self.velocity[:, 0]))
 
 
-@dataclass(frozen=True, slots=True)
-class UnmeasuredBody:
-    """Middle, velocity and their covariance (6, 6) of features that moved together.
-
-    `strayed`: the ids of those asked for that went another way.
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    covariance: FloatArray
-    strayed: IntArray
-
-
-class Sightings:
-    """Where the present features were over the last tenths of a second, in the world."""
+class FeatureHistory:
+    """Positions of the present features over the last tenths of a second, in world."""
 
     def __init__(self) -> None:
         self._stamps = np.empty(0, dtype=np.int64)
@@ -71,18 +56,16 @@ class Sightings:
         self._covariance = np.empty((0, 0, 3, 3))
         nothing = np.empty((0, 3))
         self.last = FeatureMotions(
-            self._feature_id,
-            nothing,
-            np.empty((0, 3, 3)),
-            nothing,
-            np.empty((0, 3, 3)),
+            self._feature_id, nothing, np.empty((0, 3, 3)), nothing, np.empty((0, 3, 3)),
             np.empty(0),
-        )
+        )  # fmt: skip
 
-    def add(self, timestamp_ns: int, seen: ScenePoints, T_world_cam0: FloatArray) -> FeatureMotions:
-        """Take a frame in, let those go that are too old, and say how its features moved."""
+    def add(
+        self, timestamp_ns: int, points: ScenePoints, T_world_cam0: FloatArray
+    ) -> FeatureMotions:
+        """Add a frame, drop those that are too old, and return the motions of its features."""
         first = int(np.searchsorted(self._stamps, timestamp_ns - round(1e9 * _MEMORY_S)))
-        column = positions(seen.feature_id, self._feature_id)
+        column = positions(points.feature_id, self._feature_id)
         T, n = len(self._stamps) - first, len(column)
         p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
         if len(self._feature_id):
@@ -92,110 +75,64 @@ class Sightings:
             p_world[:T, new] = np.nan
             covariance[:T, new] = np.nan
         R = T_world_cam0[:3, :3]
-        p_world[T] = se3.apply(T_world_cam0, seen.p_cam0)
-        covariance[T] = R @ seen.cov_cam0 @ R.T
+        p_world[T] = se3.apply(T_world_cam0, points.p_cam0)
+        covariance[T] = R @ points.cov_cam0 @ R.T
         self._stamps = np.append(self._stamps[first:], timestamp_ns)
-        self._feature_id, self._p_world, self._covariance = seen.feature_id, p_world, covariance
+        self._feature_id, self._p_world, self._covariance = points.feature_id, p_world, covariance
         self.last = self._motions()
         return self.last
 
     def _motions(self) -> FeatureMotions:
-        """From that earlier place of each feature to the present one which tells most.
+        """Each feature's motion since the earlier time with the least expected squared error.
 
-        The longer the way, the less its noise matters, and the more a change of velocity does.
+        The part of the positions' noise falls with the span, that of an acceleration grows.
         """
         n = len(self._feature_id)
         age_s = 1e-9 * (self._stamps[-1] - self._stamps)
-        then = np.isfinite(self._p_world[..., 0]) & (age_s > _SHORTEST_S)[:, None]
+        then = np.isfinite(self._p_world[..., 0]) & (age_s > 0.0)[:, None]
         dt = np.where(then, age_s[:, None], np.nan)
         spread = (self._covariance[-1] + self._covariance) / dt[..., None, None] ** 2
-        changed = (0.5 * _ACCEL_SIGMA * dt) ** 2
-        told = np.where(then, np.trace(spread, axis1=2, axis2=3) + 3.0 * changed, np.inf)
-        row, columns = np.argmin(told, axis=0), np.arange(n)
-        moved = self._p_world[-1] - self._p_world[row, columns]
+        changed = (0.5 * ACCEL_SIGMA_MPS2 * dt) ** 2
+        error = np.where(then, np.trace(spread, axis1=2, axis2=3) + 3.0 * changed, np.inf)
+        row, columns = np.argmin(error, axis=0), np.arange(n)
+        displacement = self._p_world[-1] - self._p_world[row, columns]
         return FeatureMotions(
             self._feature_id,
             self._p_world[-1],
             self._covariance[-1],
-            moved / dt[row, columns, None],
+            displacement / dt[row, columns, None],
             spread[row, columns] + changed[row, columns, None, None] * np.eye(3),
             changed[row, columns],
         )
 
 
-def follow(motions: FeatureMotions, own: BoolArray, velocity: FloatArray) -> UnmeasuredBody | None:
-    """What a body's `own` features (N,) say of it, whose velocity (3,) was about so before.
-
-    None where fewer than three of them are known and moved alike.
-    """
-    index = np.flatnonzero(own & motions.known)
-    if len(index) < _MIN_FEATURES:
-        return None
-    index = index[:: -(-len(index) // _MOST_FEATURES)]
-    v, C = motions.velocity[index], motions.velocity_cov[index]
-    alike = _agreeing(v, C, velocity)
-    if alike.sum() < _MIN_FEATURES:
-        return None
-    return _as_one(motions, index[alike], motions.feature_id[index[~alike]])
-
-
-def join(
-    motions: FeatureMotions, near: BoolArray, velocity: FloatArray, velocity_cov: FloatArray
+def moving_with(
+    motions: FeatureMotions, candidate: BoolArray, velocity: FloatArray, velocity_cov: FloatArray
 ) -> BoolArray:
-    """Which features (N,) of those `near` a body go as it goes, and do not rest.
+    """Which of the `candidate` features (N,) have the velocity of a body, and are not at rest.
 
     `velocity` (3,) of the body with its covariance (3, 3).
     """
-    joins = np.zeros(len(near), dtype=np.bool_)
-    index = np.flatnonzero(near & motions.known)
+    with_body = np.zeros(len(candidate), dtype=np.bool_)
+    index = np.flatnonzero(candidate & motions.known)
     if len(index) == 0:
-        return joins
-    at_rest, with_body = rest_or_body(motions, index, velocity, velocity_cov)
-    off = motions.velocity[index] - velocity
-    # an unsure body would take up anything around it
-    near_speed = np.linalg.norm(off, axis=1) < np.maximum(
+        return with_body
+    from_rest, from_body = distances_from_rest_and_body(motions, index, velocity, velocity_cov)
+    dv = motions.velocity[index] - velocity
+    # within the covariance of a body that is hardly known, everything around it would pass
+    near_speed = np.linalg.norm(dv, axis=1) < np.maximum(
         _LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity))
     )
-    alike = (with_body < _CHOSEN_GATE) & near_speed
-    joins[index] = alike & (at_rest > with_body + _BETTER_THAN_REST)
-    return joins
+    same = (from_body < gate(3, 0.99)) & near_speed
+    with_body[index] = same & (from_rest > from_body + CLEARLY)
+    return with_body
 
 
-def rest_or_body(
+def distances_from_rest_and_body(
     motions: FeatureMotions, index: IntArray, velocity: FloatArray, velocity_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Squared sigmas (K,) by which features (K,) miss rest, and a body's motion; NaN if unknown.
-
-    `velocity` (3,) of the body with its covariance (3, 3).
-    """
-    C = motions.velocity_cov[index] + _SPEED_SPREAD**2 * np.eye(3)
+    """Squared Mahalanobis distances (K,) of features' velocities from rest and from a body's
+    velocity (3,) with its covariance (3, 3); NaN where a feature's velocity is not known."""
+    C = motions.velocity_cov[index] + SPEED_SPREAD**2 * np.eye(3)
     v = motions.velocity[index]
-    off = v - velocity
-    return squared_distance(v, C), squared_distance(off, C + velocity_cov)
-
-
-def body_of(motions: FeatureMotions, own: BoolArray) -> UnmeasuredBody:
-    """The body that features (N,), known to move together, make up."""
-    return _as_one(motions, np.flatnonzero(own), np.empty(0, dtype=np.int64))
-
-
-def _as_one(motions: FeatureMotions, index: IntArray, strayed: IntArray) -> UnmeasuredBody:
-    W = inverse_3x3(motions.velocity_cov[index])
-    P_v = inverse_3x3(W.sum(0))
-    mean = P_v @ (W @ motions.velocity[index][..., None])[..., 0].sum(0)
-    points = motions.p_world[index]
-    P = np.zeros((6, 6))
-    P[:3, :3] = motions.position_cov[index].mean(0) / len(index) + 0.01 * np.eye(3)
-    P[3:, 3:] = P_v + motions.change[index].mean() * np.eye(3)
-    return UnmeasuredBody(0.5 * (points.min(axis=0) + points.max(axis=0)), mean, P, strayed)
-
-
-def _agreeing(velocity: FloatArray, C: FloatArray, before: FloatArray) -> BoolArray:
-    """The largest set (N,) of features whose velocities are those of one of them."""
-    apart = velocity[:, None] - velocity[None]
-    spread = C[:, None] + C[None] + _SPEED_SPREAD**2 * np.eye(3)
-    votes = squared_distance(apart, spread) < _AGREE_SIGMAS**2
-    best = votes.sum(1)
-    # among equals the one that goes as the body did
-    off = np.linalg.norm(velocity - before, axis=1)
-    return np.asarray(votes[int(np.lexsort((off, -best))[0])])
+    return squared_distance(v, C), squared_distance(v - velocity, C + velocity_cov)

@@ -1,6 +1,7 @@
-"""From a frame's moving points to measurements of moving rigid bodies; keeps nothing."""
+"""Measurements of moving rigid bodies, from the moving points of one frame; without state."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,27 +10,25 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.clustering import (
     MotionHistory,
+    compatible_tracks,
     group_points,
-    main_owner,
-    may_be_one,
+    majority_track,
     motion_history,
+    same_body_velocity,
 )
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
-from ovmot.objects.static_motion import STATIC_TESTS, FoundMotion, known_part
+from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion, known_part
+from ovmot.physics import MAX_VEHICLE_SIZE_M, gates
 from ovmot.segmentation.stereo_history import StereoHistory
-from ovmot.settings import ObjectSettings
+from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PoseWindow, ScenePoints
 
-_LEAK = 0.3  # of a wrong motion along the ray, across it: rays of a body differ in direction
+_LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
 _STEEPEST = 0.1  # slope of a road
-_YAW_KNOWN = 0.5  # of the prior's standard deviation: where the points have told something
-_DEPTH_SIGNAL = 3.0  # variance of depths by that of noise, from which turns are told
-_FEW = 4  # points that may be a part of a body, though their group is another
+_YAW_KNOWN = 0.5  # of the prior's standard deviation: below, the points have measured the yaw rate
+_FEW = 4  # points that may be a part of a body of another group
 _REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
-_SPEED_SPREAD = 0.5  # m/s by which parts of one turning body may differ
-_SPREAD_SHARE = 0.05  # and as a share of the speed
-_SAME_GATE = 7.81  # 95 % of chi-squared with 3 degrees of freedom
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +37,11 @@ class ObjectMeasurement:
 
     All in world, SI. `feature_id` (N,) of the inliers, `p_world` (N, 3) their refined positions
     now. `position` (3,): centre of their box now; `velocity` (3,) of the body there. `yaw_rate`
-    about world z in rad/s, NaN where the points are too few or too close together to tell, with
-    its variance. `T_now_before` (4, 4): motion in world over `span_s`, p_now = T p_before.
-    `covariance` (6, 6) of position and velocity, with the ego poses' part at both times; it knows
-    how well the seen points are known, not how they lie on the body. `excess` (6, 6): the part of
-    it that is noise which was told, but does not show in the misfit. `size` (3,): length, width,
+    about world z in rad/s, NaN where the points do not measure it, with its variance.
+    `T_now_before` (4, 4): motion in world over `span_s`, p_now = T p_before. `covariance` (6, 6) of
+    position and velocity by the prior pixel noise, with the ego poses' part at both times; it is
+    that of the seen points, not of where they lie on the body. `scaled_covariance` (6, 6): the same
+    with the points' part times the variance factor of the refinement. `size` (3,): length, width,
     height of the box of the points, along the heading.
     """
 
@@ -54,18 +53,18 @@ class ObjectMeasurement:
     T_now_before: FloatArray
     span_s: float
     covariance: FloatArray
-    excess: FloatArray
+    scaled_covariance: FloatArray
     yaw_rate_variance: float
     size: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class _Body:
-    """A measurement, the group it comes from, and the track that has most of its points, or -1."""
+    """A measurement, its group, and the track that holds most of its points, or -1."""
 
     group: int
-    owner: int
-    measured: ObjectMeasurement
+    track_id: int
+    measurement: ObjectMeasurement
 
 
 def measure_objects(
@@ -74,90 +73,100 @@ def measure_objects(
     window: PoseWindow,
     rig: StereoRig,
     settings: ObjectSettings,
-    max_range_m: float,
+    of_points: SegmentationSettings,
     rng: np.random.Generator,
 ) -> tuple[ObjectMeasurement, ...]:
     """The moving bodies of the newest frame, those with most points first.
 
     `history` is that of the frame's segmented `points`, `window` holds the updated poses. Points
-    beyond `max_range_m` belong to no body.
+    beyond the range of the segmentation, `of_points`, belong to no body.
     """
-    # 1 what each point did over the last frames
-    moving = motion_history(history, points, window, rig, settings, max_range_m)
+    # 1 the motion of each point over the last frames
+    moving = motion_history(history, points, window, rig, settings, of_points.max_range_m)
     if moving is None:
         return ()
-    # 2 neighbours that move alike
+    # 2 clusters of neighbours with one velocity
     groups = group_points(moving, settings)
-    # 3 rigid motions in each group
+    # 3 rigid motions in each cluster
     motions = [extract_motions(moving, group, rig, settings, rng) for group in groups]
     found = [motion for of_group in motions for motion in of_group]
     group_of = np.repeat(np.arange(len(groups)), [len(of_group) for of_group in motions])
     if not found:
         return ()
-    # 4 motions and points together, by reprojection
+    # 4 bundle adjustment of motions and points
     views, twist, row = _views_of(moving, found, window, rig, settings)
     index = np.concatenate([group.index for group in found])
-    may_turn = _shows_turns(moving, index, views.body)
+    may_turn = _turns_observable(moving, index, views.body)
     refined = refine_bodies(
         views, twist, moving.p_cam0[index], may_turn, rig, settings, history.noise
     )
-    # 5 what is left of each: enough points, moving, and not a part of another
+    # 5 bodies with enough inliers, with their covariances
     members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found))]
     enough = [k for k, own in enumerate(members) if len(own) >= settings.min_points]
-    measured = _with_ego_covariance(
-        _measurements(
-            enough, members, moving.feature_id[index], views, refined, may_turn, settings
-        ),
-        window,
-        _clones_of(history, window)[row[enough]],
-    )
-    T_cam0_world = se3.inverse(views.T_world_cam0[-1, 0])
-    is_static = STATIC_TESTS[settings.static_test]
-    bodies: list[_Body] = []
-    for k, body in zip(enough, measured, strict=True):
-        if not _is_fast(body, settings) or _is_aloft(body, views.T_world_cam0[-1, 0], settings):
-            continue
-        if not is_static(_as_found(body, T_cam0_world), rig, settings):
-            owner = main_owner(moving.owner[index[members[k]]])
-            bodies.append(_Body(int(group_of[k]), owner, body))
+    clones = _clones_of(history, window)[row[enough]]
+    measurements = _measurements(
+        enough, members, moving.feature_id[index], views, refined, may_turn, window, clones,
+        settings,
+    )  # fmt: skip
+    # 6 those that move and are no part of another
+    track_of = [majority_track(moving.track_id[index[members[k]]]) for k in enough]
+    bodies = [
+        _Body(int(group_of[k]), track_id, measurement)
+        for k, track_id, measurement in zip(enough, track_of, measurements, strict=True)
+        if _moves(measurement, views.T_world_cam0[-1, 0], rig, settings, of_points)
+    ]
     return _without_parts(bodies, settings)
 
 
-def _is_fast(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
-    """Is what is known of a body's velocity fast enough to be a measurement?
+def _moves(
+    body: ObjectMeasurement,
+    T_world_cam0: FloatArray,
+    rig: StereoRig,
+    settings: ObjectSettings,
+    of_points: SegmentationSettings,
+) -> bool:
+    """Is a body a road user in motion: fast enough, not too high up, and not at rest?"""
+    if not _is_fast(body, settings) or _is_aloft(body, T_world_cam0):
+        return False
+    motion = _found_motion(body, se3.inverse(T_world_cam0))
+    return not STATIC_TESTS[settings.static_test](motion, rig, settings, of_points)
 
-    And more than the rest would leave in it, were the points to slide along their rays.
+
+def _is_fast(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
+    """Is the known part of a body's velocity fast enough to be a measurement?
+
+    And greater than what a drift of its patches along their rays, the unknown part, leaves in it.
     """
     v = body.velocity
-    known, _ = known_part(v, body.covariance[3:, 3:], settings.max_speed_sigma_mps)
-    squared = float(known @ known)
-    rest = max(float(v @ v) - squared, 0.0)
-    return squared > max(settings.min_speed_mps**2, _LEAK**2 * rest)
+    known, _ = known_part(v, body.covariance[3:, 3:], MAX_SIGMA_MPS)
+    known_squared = float(known @ known)
+    unknown_squared = max(float(v @ v) - known_squared, 0.0)
+    return known_squared > max(settings.min_speed_mps**2, _LEAK**2 * unknown_squared)
 
 
-def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray, settings: ObjectSettings) -> bool:
+def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray) -> bool:
     """Is a body higher than road users are?
 
-    Windows that are all matched to their neighbours stand at ρ times their distance, and seem to go
-    at ρ - 1 times the rig's speed, towards it: a rigid motion, that only the height betrays.
+    Repeated windows that are all matched to their neighbours appear at ρ times their distance, and
+    seem to move at ρ - 1 times the rig's speed, towards it: a rigid motion, but at a wrong height.
     """
-    off = np.median(body.p_world, axis=0) - T_world_cam0[:3, 3]
-    slope_m = _STEEPEST * float(np.hypot(off[0], off[1]))
-    return bool(off[2] > settings.max_height_m + slope_m)
+    offset = np.median(body.p_world, axis=0) - T_world_cam0[:3, 3]
+    slope_m = _STEEPEST * float(np.hypot(offset[0], offset[1]))
+    return bool(offset[2] > MAX_VEHICLE_SIZE_M[2] + slope_m)
 
 
-def _shows_turns(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
-    """For which of B bodies do the depths of its points differ by more than stereo scatters them?
+def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
+    """Of which of B bodies is the turn rate observable (B,)?
 
-    `index`, `body` (M,): points and whose they are. A turn shows as points at different depths move
-    apart in the image. Where that difference is but noise, a turn can be made to fit anything.
+    `index`, `body` (M,): points and their bodies. In a turn, points at different depths move apart
+    in the image: the depths must differ by more than their noise, by a chi-squared test.
     """
     n = np.bincount(body)
     z = history.p_cam0[index, 2]
-    off = z - (np.bincount(body, z) / n)[body]
-    scatter = np.bincount(body, off**2) / (n - 1)
+    deviation = z - (np.bincount(body, z) / n)[body]
+    scatter = np.bincount(body, deviation**2)
     noise = np.bincount(body, history.cov_cam0[index, 2, 2]) / n
-    return np.asarray(scatter > _DEPTH_SIGNAL * noise)
+    return np.asarray(scatter > gates(np.asarray(n - 1.0, np.float64), 0.99) * noise)
 
 
 def _views_of(
@@ -169,7 +178,7 @@ def _views_of(
 ) -> tuple[BodyViews, FloatArray, IntArray]:
     """Each body's points in three views: its earlier row, one half way if there is one, now.
 
-    And the twists (B, 6) that the rigid motions amount to.
+    Also the twists (B, 6) of the rigid motions, and each body's earlier row (B,).
     """
     past = history.history
     index = np.concatenate([group.index for group in found])
@@ -214,47 +223,51 @@ def _row_between(span_s: FloatArray, row: int) -> int:
 
 
 def _measurements(
-    chosen: list[int],
-    members: list[IntArray],
+    chosen: Sequence[int],
+    members: Sequence[IntArray],
     feature_id: IntArray,
     views: BodyViews,
     refined: RefinedBodies,
     may_turn: BoolArray,
+    window: PoseWindow,
+    clone_index: IntArray,
     settings: ObjectSettings,
 ) -> list[ObjectMeasurement]:
-    """The chosen bodies with their points: the covariances are those of the refinement alone."""
+    """The chosen K bodies; `members`: their points, `clone_index` (K,): their earlier poses."""
     span = views.span_s[0]
     shift = se3.make(np.eye(3), views.origin)
     T_now_before = shift @ se3.exp(span[:, None] * refined.twist) @ se3.inverse(shift)
     accel = (0.5 * settings.accel_sigma_mps2 * span) ** 2
     prior = settings.yaw_rate_sigma_rps**2
+    boxes = [_box(refined.p_world[members[k]], refined.twist[k, 3:]) for k in chosen]
+    centres = np.array([centre for centre, _ in boxes]).reshape(-1, 3)
+    ego = _ego_covariance(centres, T_now_before[chosen], span[chosen], window, clone_index)
     out = []
-    for k in chosen:
+    for k, (position, size), C_ego in zip(chosen, boxes, ego, strict=True):
         own, omega, v_origin = members[k], refined.twist[k, :3], refined.twist[k, 3:]
-        p = refined.p_world[own]
-        position, size = _box(p, v_origin)
-        # position follows the twist as its points do on the mean, velocity by v + ω x arm
+        # position changes with the twist as the mean of its points, velocity by v + ω x arm
         J = np.zeros((6, 6))
         J[:3] = refined.by_twist[own].mean(0)
         J[3:, :3], J[3:, 3:] = -so3.hat(position - views.origin[k]), np.eye(3)
-        covariance = J @ refined.covariance[k] @ J.T
-        covariance[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
-        excess = (1.0 - refined.misfit[k]) * covariance
+        of_points = J @ refined.covariance[k] @ J.T
+        of_points[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
+        covariance = of_points.copy()
         covariance[3:, 3:] += accel[k] * np.eye(3)
+        covariance = covariance + C_ego[:6, :6]
         variance = float(refined.covariance[k, 2, 2]) if may_turn[k] else prior
         known = variance < _YAW_KNOWN**2 * prior
         out.append(
             ObjectMeasurement(
                 feature_id=feature_id[own],
-                p_world=p,
+                p_world=refined.p_world[own],
                 position=position,
                 velocity=v_origin + J[3:, :3] @ omega,
                 yaw_rate=float(omega[2]) if known else float("nan"),
                 T_now_before=T_now_before[k],
                 span_s=float(span[k]),
                 covariance=covariance,
-                excess=excess,
-                yaw_rate_variance=variance,
+                scaled_covariance=covariance - (1.0 - refined.variance_factor[k]) * of_points,
+                yaw_rate_variance=variance + float(C_ego[6, 6]),
                 size=size,
             )
         )
@@ -271,42 +284,36 @@ def _box(p_world: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatAr
     return R @ (0.5 * (low + high)), high - low
 
 
-def _with_ego_covariance(
-    bodies: list[ObjectMeasurement], window: PoseWindow, then: IntArray
-) -> list[ObjectMeasurement]:
-    """The measurements with the uncertainty of the poses now and at clones `then` (B,) added.
+def _ego_covariance(
+    p_now: FloatArray,
+    T_now_before: FloatArray,
+    span_s: FloatArray,
+    window: PoseWindow,
+    clone_index: IntArray,
+) -> FloatArray:
+    """Part (B, 7, 7) of the poses now and at clones (B,) in the covariance of position, velocity
+    and yaw rate of bodies at `p_now` (B, 3).
 
-    Points are known in the cameras' frames: δp = -R [p_imu]x δθ + δt moves where the body is at
-    each time, and v = (p_now - p_then) / span. Right perturbations of the poses.
+    Points are known in the cameras' frames: δp = -R [p_imu]x δθ + δt moves the body at each time,
+    and v = (p_now - p_then) / span. Right perturbations of the poses.
     """
-    if not bodies:
-        return []
-    p_now = np.array([body.position for body in bodies])
-    p_then = se3.apply(se3.inverse(np.array([body.T_now_before for body in bodies])), p_now)
-    span = np.array([body.span_s for body in bodies])[:, None, None]
-    last = np.full_like(then, len(window.timestamp_ns) - 1)
-    clone = np.stack([last, then])
+    p_then = se3.apply(se3.inverse(T_now_before), p_now)
+    span = span_s[:, None, None]
+    last = np.full_like(clone_index, len(window.timestamp_ns) - 1)
+    clone = np.stack([last, clone_index])
     R, t = window.T_world_imu[clone, :3, :3], window.T_world_imu[clone, :3, 3]
     p_imu = (np.swapaxes(R, -1, -2) @ (np.stack([p_now, p_then]) - t)[..., None])[..., 0]
-    J = np.zeros((len(bodies), 7, 12))  # position, velocity, yaw rate by both poses
+    J = np.zeros((len(p_now), 7, 12))  # by both poses
     J[:, :3, :3], J[:, :3, 3:6] = -R[0] @ so3.hat(p_imu[0]), np.eye(3)
     J[:, 3:6, :6] = J[:, :3, :6] / span
     J[:, 3:6, 6:9], J[:, 3:6, 9:] = R[1] @ so3.hat(p_imu[1]) / span, -np.eye(3) / span
     J[:, 6, :3], J[:, 6, 6:9] = R[0, :, 2] / span[..., 0], -R[1, :, 2] / span[..., 0]
     pick = (6 * clone.T[..., None] + np.arange(6)).reshape(-1, 12)
     P = window.covariance[pick[:, :, None], pick[:, None, :]]
-    added = J @ P @ np.swapaxes(J, -1, -2)
-    return [
-        replace(
-            body,
-            covariance=body.covariance + C[:6, :6],
-            yaw_rate_variance=body.yaw_rate_variance + float(C[6, 6]),
-        )
-        for body, C in zip(bodies, added, strict=True)
-    ]
+    return np.asarray(J @ P @ np.swapaxes(J, -1, -2))
 
 
-def _as_found(body: ObjectMeasurement, T_cam0_world: FloatArray) -> FoundMotion:
+def _found_motion(body: ObjectMeasurement, T_cam0_world: FloatArray) -> FoundMotion:
     """The body's points now and, had they stayed where they were, in the present left camera."""
     before = se3.apply(se3.inverse(body.T_now_before), body.p_world)
     return FoundMotion(
@@ -320,27 +327,25 @@ def _as_found(body: ObjectMeasurement, T_cam0_world: FloatArray) -> FoundMotion:
 def _without_parts(bodies: list[_Body], settings: ObjectSettings) -> tuple[ObjectMeasurement, ...]:
     """Those bodies that are no part of a larger one.
 
-    Parts lie at the larger body and move like it, are not another track's, and come from the same
-    group or have few points.
+    A part lies at the larger body and has its velocity, is not another track's, and comes from the
+    same group or has few points.
     """
     kept: list[_Body] = []
-    for body in sorted(bodies, key=lambda b: len(b.measured.feature_id), reverse=True):
-        few = len(body.measured.feature_id) <= _FEW
+    for body in sorted(bodies, key=lambda b: len(b.measurement.feature_id), reverse=True):
+        few = len(body.measurement.feature_id) <= _FEW
         if not any(
             (few or body.group == larger.group)
-            and may_be_one(body.owner, larger.owner)
-            and _is_part(body.measured, larger.measured, settings)
+            and compatible_tracks(body.track_id, larger.track_id)
+            and _is_part(body.measurement, larger.measurement, settings)
             for larger in kept
         ):
             kept.append(body)
-    return tuple(body.measured for body in kept)
+    return tuple(body.measurement for body in kept)
 
 
 def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings) -> bool:
-    apart = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
+    distance = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
     C = body.covariance + larger.covariance
     reach = settings.neighbour_radius_m + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
-    dv = body.velocity - larger.velocity
-    spread = _SPEED_SPREAD + _SPREAD_SHARE * float(np.linalg.norm(larger.velocity))
-    C_v = C[3:, 3:] + spread**2 * np.eye(3)
-    return bool(apart < reach and dv @ np.linalg.solve(C_v, dv) < _SAME_GATE)
+    same = same_body_velocity(body.velocity, larger.velocity, C[3:, 3:], 0.95)
+    return bool(distance < reach and same)

@@ -1,4 +1,4 @@
-"""Two tracks on one body become one."""
+"""Merging of duplicates: two tracks of one body become one."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,32 +7,30 @@ import numpy as np
 
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import DRIVES_MPS, Track, TrackState
+from ovmot.objects.track_box import centre_distances
+from ovmot.physics import CAR_SIZE_M, MAX_VEHICLE_SIZE_M, gate
 from ovmot.settings import ObjectTrackSettings
 
 _SAME_SPEED_MPS, _SPEED_SPREAD = 1.5, 0.3
-_ALIKE_GATE = 11.34  # 99 % of chi-squared with 3 degrees of freedom
-_LENGTH_M, _HALF_WIDTH_M = 4.0, 1.0  # nearer than this, two middles are of one vehicle
 _FEW_OF_MANY = 0.1
 _GAP_M = 2.5  # without features, between two ends of a lorry
-_BODY_WIDTH_M = 3.2  # boxes of few points are too wide
-_WIDTH_M = 2.0  # within a box that is wider, there may be two bodies
-_SIGMAS = 3.0  # by which a body that is not seen may be off
+_SIGMAS = 3.0  # of the position of a coasting track
 BESIDE_NS = 500_000_000
 """Two tracks that were seen together for so long are two bodies."""
 
 
-def merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Track, ...]:
-    """Tracks that have lain on an older one for some frames become one with it.
+def merge_duplicates(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Track, ...]:
+    """The tracks, those merged with an older one of which they were duplicates for some frames.
 
-    The older one's id stays, with what the one of more features knows. Until then a new one that
-    lies on an older one is not believed.
+    The older one's id stays, with the state of the one with more features. Until then a new
+    duplicate stays tentative.
     """
     out: list[Track] = []
     for track in tracks:
-        over = next((k for k, other in enumerate(out) if _same_body(track, other)), None)
-        if over is None:
+        older = next((k for k, other in enumerate(out) if _are_duplicates(track, other)), None)
+        if older is None:
             new = track.hits <= settings.confirm_hits
-            part = new and any(_may_be_part(track, other) for other in out)
+            part = new and any(_may_be_part_of(track, other) for other in out)
             state = TrackState.TENTATIVE if part else track.state
             out.append(replace(track, state=state, overlaps=max(track.overlaps - 1, 0)))
         elif track.overlaps + 1 < settings.merge_frames:
@@ -40,44 +38,46 @@ def merged(tracks: Sequence[Track], settings: ObjectTrackSettings) -> tuple[Trac
             state = TrackState.TENTATIVE if young else track.state
             out.append(replace(track, state=state, overlaps=track.overlaps + 1))
         else:
-            out[over] = _united(out[over], track)
+            out[older] = _merge(out[older], track)
     return tuple(out)
 
 
-def _may_be_part(track: Track, other: Track) -> bool:
-    """Can a new track be of another part of a vehicle that has a track?"""
-    along, across = _apart(track, other)
+def _may_be_part_of(track: Track, other: Track) -> bool:
+    """Can a new track be another part of a vehicle that has a track?"""
+    along, across = centre_distances(track, other)
     gap = along - 0.5 * (track.size[0] + other.size[0])
-    return bool(gap < _GAP_M and across < _BODY_WIDTH_M and _goes_like(track, other))
+    return bool(gap < _GAP_M and across < MAX_VEHICLE_SIZE_M[1] and _same_velocity(track, other))
 
 
-def _united(track: Track, other: Track) -> Track:
-    """A track and a younger one of the same body: as the one of more features knows it."""
+def _merge(track: Track, other: Track) -> Track:
+    """A track and a younger one of the same body: with the state of the one with more features."""
     ids = np.union1d(track.feature_id, other.feature_id)
     known = track if len(track.feature_id) >= len(other.feature_id) else other
     return replace(known, track_id=track.track_id, feature_id=ids, overlaps=0)
 
 
-def _same_body(track: Track, other: Track) -> bool:
-    """Is one in the other, where no second body can be, or do they overlap and move alike?"""
+def _are_duplicates(track: Track, other: Track) -> bool:
+    """Is one inside the other, or do they overlap with one velocity?"""
     if TrackState.COASTING not in (track.state, other.state) and (
         _is_within(track, other) or _is_within(other, track)
     ):
         return True
-    along, across = _apart(track, other)
+    along, across = centre_distances(track, other)
     slack = _slack(track, other)
     along, across = max(along - slack, 0.0), max(across - slack, 0.0)
     reach = 0.5 * (other.size + np.minimum(track.size, other.size))
     near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
-    drive = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
-    near |= drive and along < _LENGTH_M and across < _HALF_WIDTH_M  # two ends of a vehicle
-    near |= drive and _is_piece(track, other, along, across)
-    return bool(near and _goes_like(track, other))
+    driving = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
+    near |= (
+        driving and along < CAR_SIZE_M[0] and across < 0.5 * CAR_SIZE_M[1]
+    )  # two ends of a vehicle
+    near |= driving and _is_far_end(track, other, along, across)
+    return bool(near and _same_velocity(track, other))
 
 
 def _slack(track: Track, other: Track) -> float:
-    """How much nearer two middles may be than they seem, where one of the tracks is not seen, and
-    they have not been seen together: metres."""
+    """How much nearer two centres may be than estimated, metres: where one of the tracks coasts and
+    they were not seen side by side."""
     together = track.born_ns + BESIDE_NS <= other.updated_ns
     if together or TrackState.COASTING not in (track.state, other.state):
         return 0.0
@@ -85,32 +85,25 @@ def _slack(track: Track, other: Track) -> float:
     return _SIGMAS * float(np.sqrt(0.5 * np.trace(P)))
 
 
-def _goes_like(track: Track, other: Track) -> bool:
-    """Are two velocities the same, within their covariance and by no more than a walker's speed?"""
+def _same_velocity(track: Track, other: Track) -> bool:
+    """Are two velocities equal within their covariance, and within a walker's speed?"""
     dv = track.velocity - other.velocity
     P = sum(t.filter.best.covariance[VELOCITY, VELOCITY] for t in (track, other))
     C = P + _SPEED_SPREAD**2 * np.eye(3)
-    alike = dv @ np.linalg.solve(C, dv) < _ALIKE_GATE
-    return bool(alike and np.linalg.norm(dv) < _SAME_SPEED_MPS)
+    equal = dv @ np.linalg.solve(C, dv) < gate(3, 0.99)
+    return bool(equal and np.linalg.norm(dv) < _SAME_SPEED_MPS)
 
 
-def _is_piece(track: Track, other: Track, along: float, across: float) -> bool:
+def _is_far_end(track: Track, other: Track, along: float, across: float) -> bool:
     """Can a track of few features be the far end of one that has many?"""
     few = len(track.feature_id) < _FEW_OF_MANY * len(other.feature_id)
     gap = along - 0.5 * (track.size[0] + other.size[0])
     width = across + 0.5 * (track.size[1] + other.size[1])
-    return bool(few and gap < _GAP_M and width < _BODY_WIDTH_M)
+    return bool(few and gap < _GAP_M and width < MAX_VEHICLE_SIZE_M[1])
 
 
 def _is_within(track: Track, other: Track) -> bool:
-    """Is a track's middle inside the box of another one with more features?"""
-    along, across = _apart(track, other)
-    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], _WIDTH_M)
+    """Is a track's centre inside the box of another one with more features?"""
+    along, across = centre_distances(track, other)
+    inner = along < 0.5 * other.size[0] and across < 0.5 * min(other.size[1], CAR_SIZE_M[1])
     return bool(inner and len(track.feature_id) < len(other.feature_id))
-
-
-def _apart(track: Track, other: Track) -> tuple[float, float]:
-    """Distances of the middles, along and across the other's heading, metres."""
-    apart = track.position - other.position
-    c, s = np.cos(other.yaw), np.sin(other.yaw)
-    return abs(c * apart[0] + s * apart[1]), abs(-s * apart[0] + c * apart[1])

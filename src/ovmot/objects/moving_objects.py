@@ -1,19 +1,18 @@
-"""The objects' stage of a frame: from segmented points to tracks, and what is fed back of them."""
+"""The objects' stage of a frame: from segmented points to tracks, and its part of the feedback."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.focus import focus_areas
+from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.exclusion import excluded_features
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.segmentation.stereo_history import StereoHistory
 from ovmot.settings import Settings
-from ovmot.types import ObjectTrack, PoseWindow, ScenePoints
+from ovmot.types import ObjectTrack, PointLabel, PoseWindow, ScenePoints
 
 _STEADY_S = 1.0  # over which a body's velocity is taken as steady
 
@@ -22,9 +21,9 @@ _STEADY_S = 1.0  # over which a body's velocity is taken as steady
 class ObjectsResult:
     """The tracks of a frame and its points with their tracks' ids.
 
-    `held_id` (K,): features that the odometry source should leave alone. `moving_id` (M,): features
-    that should go on with a track, `moving_velocity` (M, 3) in m/s in the left camera's axes. More
-    features are wanted around left pixels `focus_uv` (N, 2), within `focus_radius_px` (N,).
+    `held_id` (K,): features that the odometry source must not use. `moving_id` (M,): features that
+    move on with a track, `moving_velocity` (M, 3) in m/s in the left camera's axes. More features
+    are wanted around left pixels `focus_uv` (N, 2), within `focus_radius_px` (N,).
     """
 
     tracks: tuple[ObjectTrack, ...]
@@ -37,12 +36,11 @@ class ObjectsResult:
 
 
 class MovingObjects:
-    """Keeps the tracks; switched off by `objects.enabled`, it passes the points on."""
+    """Keeps the tracks; switched off by `objects.enabled`, it returns the points as they are."""
 
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
-        self._max_range_m = settings.segmentation.max_range_m
-        self._focus_width_m = settings.tracker.focus_width_m
+        self._of_points = settings.segmentation
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
@@ -66,20 +64,38 @@ class MovingObjects:
             )
         tracker = self._tracker
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
-        points = tracker.owned(segmentation.points)
+        points = tracker.with_track_ids(segmentation.points)
         measurements = measure_objects(
             history.younger(_STEADY_S),
             points,
             window,
             rig,
             self._settings,
-            self._max_range_m,
+            self._of_points,
             self._rng,
         )
-        tracks, points = tracker.step(now_ns, measurements, points, T_world_cam0)
-        held = excluded_features(points, self._settings.max_excluded_share)
-        moving, velocity = tracker.expected(points)
-        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0, self._focus_width_m)
+        tracks, points = tracker.step(
+            now_ns, measurements, points, T_world_cam0, history.noise.sigma_px
+        )
+        held = held_features(points, self._settings.max_excluded_share)
+        moving, velocity = tracker.predicted_velocities(points)
+        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)
         return ObjectsResult(
             tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px
         )
+
+
+def held_features(points: ScenePoints, max_share: float) -> IntArray:
+    """Ids of the points of tracks that move, or may, which the odometry source must not use.
+
+    At most `max_share` of all points: the tracks with most points stay in the source's view, since
+    one that has most of the image may be the street, taken for a body.
+    """
+    has = (points.track_id >= 0) & (points.label != int(PointLabel.STATIC))
+    tracks, count = np.unique(points.track_id[has], return_counts=True)
+    smallest_first = np.argsort(count, kind="stable")
+    within = np.cumsum(count[smallest_first]) <= max_share * len(points.feature_id)
+    ids: IntArray = points.feature_id[
+        has & np.isin(points.track_id, tracks[smallest_first][within])
+    ]
+    return ids

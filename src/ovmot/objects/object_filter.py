@@ -1,7 +1,7 @@
-"""The filter of one body: its motion models side by side, weighted by how well each predicts.
+"""The filter of one body: its motion models side by side, compared by their likelihoods.
 
-A static multiple-model estimator with forgetting (Y. Bar-Shalom et al. 2001, sec. 11.6): each model
-has a Kalman filter of its own, the likelier one speaks.
+A static multiple-model estimator with exponential weights in time (Y. Bar-Shalom et al. 2001, sec.
+11.6): each model has a Kalman filter of its own, the estimate is that of the likelier one.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from ovmot.objects.motion_models import (
     Agility,
 )
 
-_MEMORY = 0.85  # of log-likelihoods, per measurement
+_MEMORY = 0.85  # factor of past log-likelihoods, per measurement
 _UNKNOWN_YAW_RATE = 0.3  # rad/s
 _HEADSTART = 2.0  # log-likelihood by which the simpler model is preferred
 
@@ -94,7 +94,7 @@ def observe(
 
 
 def predict(body: BodyFilter, timestamp_ns: int, agility: Agility) -> BodyFilter:
-    """All models carried to a time."""
+    """All models predicted to a time."""
     dt = 1e-9 * (timestamp_ns - body.timestamp_ns)
     models = {}
     for name, estimate in body.models.items():
@@ -105,13 +105,13 @@ def predict(body: BodyFilter, timestamp_ns: int, agility: Agility) -> BodyFilter
 
 
 def update(body: BodyFilter, observation: Observation) -> BodyFilter:
-    """All models corrected, and their likelihoods with them."""
+    """All models and their likelihoods updated."""
     models = {name: _updated(e, observation) for name, e in body.models.items()}
     return replace(body, models=models)
 
 
 def distance(body: BodyFilter, observation: Observation) -> float:
-    """Squared Mahalanobis distance of a measurement from what is predicted."""
+    """Squared Mahalanobis distance of a measurement from its prediction."""
     e = body.best
     S = observation.H @ e.covariance @ observation.H.T + observation.covariance
     r = observation.value - observation.H @ e.state

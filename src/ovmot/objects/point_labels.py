@@ -1,7 +1,6 @@
-"""What the tracks say of the points: one that belongs to a body does what the body does.
+"""Labels of points by their tracks: a point of a body moves as the body does.
 
-Between a body that moves and one that stands there are those that creep. A label is given where it
-is twice as likely as the other one; else the point stays unknown.
+A label is given where it is twice as likely as the other one; else the point is unknown.
 """
 
 from collections.abc import Sequence
@@ -10,17 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.feature_motions import FeatureMotions, rest_or_body
+from ovmot.objects.feature_motions import CLEARLY, FeatureMotions, distances_from_rest_and_body
 from ovmot.objects.motion_models import VELOCITY
-from ovmot.objects.region import inside
 from ovmot.objects.track import Track, TrackState
+from ovmot.objects.track_box import points_in_boxes
 from ovmot.types import PointLabel, ScenePoints
 
 _MOVING_MPS = 1.0  # the pace of a slow walker
 _LIKELIER = 0.43  # sigmas: a Gaussian has a third of its weight beyond
 _LATE_S = 0.1  # a velocity is that of the middle of the time it was measured over
-_STEADY = 0.5  # m/s²: by which a velocity seems to change without
-_CLEAR = 9.0  # squared sigmas by which rest must explain a point of a moving body better
+_STEADY = 0.5  # m/s²: noise of the change of a velocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,36 +32,35 @@ class Speeds:
 
 def label_points(
     now_ns: int,
-    seen: ScenePoints,
-    owner: IntArray,
+    points: ScenePoints,
+    track_id: IntArray,
     tracks: Sequence[Track],
     motions: FeatureMotions,
     before: Speeds,
 ) -> ScenePoints:
-    """The N points with the ids of their tracks, `owner` (N,), -1 for none.
+    """The N points with the ids of their tracks, `track_id` (N,), -1 for none.
 
-    Those of a confirmed track are dynamic or static as the track is, but for points which rest
-    beside one that moves. Those of a tentative track stay as the split found them. What seems to
-    move and is part of no body is unknown: a wrong match looks like that. So is a point that seems
-    to rest where a body moves, if that body's motion explains it better. `before`: the speeds at
-    the last frame.
+    Points of a confirmed track are dynamic or static as the track is, but for those at rest in the
+    box of one that moves. Points of a tentative track keep their label. A dynamic point without a
+    track is unknown: it may be a wrong match. So is a static point without a track in the box of a
+    moving one, if the track's motion fits it better. `before`: the speeds at the last frame.
     """
-    label = seen.label.copy()
-    loose = owner < 0
-    label[loose & (label == int(PointLabel.DYNAMIC))] = int(PointLabel.UNKNOWN)
+    label = points.label.copy()
+    untracked = track_id < 0
+    label[untracked & (label == int(PointLabel.DYNAMIC))] = int(PointLabel.UNKNOWN)
     confirmed = [t for t in tracks if t.state == TrackState.CONFIRMED]
-    near = inside(confirmed, motions.p_world, motions.position_cov)
-    for track, at in zip(confirmed, near, strict=True):
-        own = owner == track.track_id
-        kind = _kind(track, _speed_now(track, now_ns, before))
-        label[own] = int(kind)
-        if kind == PointLabel.DYNAMIC:
-            label = _doubted(label, own, loose & at, track, motions)
-    return replace(seen, track_id=owner, label=label)
+    in_boxes = points_in_boxes(confirmed, motions.p_world, motions.position_cov)
+    for track, in_box in zip(confirmed, in_boxes, strict=True):
+        own = track_id == track.track_id
+        track_label = _track_label(track, _speed_now(track, now_ns, before))
+        label[own] = int(track_label)
+        if track_label == PointLabel.DYNAMIC:
+            label = _checked_for_rest(label, own, untracked & in_box, track, motions)
+    return replace(points, track_id=track_id, label=label)
 
 
 def speeds_of(now_ns: int, tracks: Sequence[Track]) -> Speeds:
-    """How fast tracks are."""
+    """The speeds of tracks."""
     ids = np.array([t.track_id for t in tracks], dtype=np.int64)
     speed = np.array([np.linalg.norm(t.velocity) for t in tracks], dtype=np.float64)
     order = np.argsort(ids)
@@ -71,7 +68,7 @@ def speeds_of(now_ns: int, tracks: Sequence[Track]) -> Speeds:
 
 
 def _speed_now(track: Track, now_ns: int, before: Speeds) -> float:
-    """A track's speed, carried on to now by its change since the last frame: the filter is late."""
+    """A track's speed, extrapolated by its change since the last frame: the filter is late."""
     speed = float(np.linalg.norm(track.velocity))
     k = int(np.searchsorted(before.track_id, track.track_id))
     dt_s = 1e-9 * (now_ns - before.timestamp_ns)
@@ -82,8 +79,8 @@ def _speed_now(track: Track, now_ns: int, before: Speeds) -> float:
     return max(speed + _LATE_S * sure, 0.0)
 
 
-def _kind(track: Track, speed: float) -> PointLabel:
-    """What a track does, at its speed of now."""
+def _track_label(track: Track, speed: float) -> PointLabel:
+    """The label of a track at its speed of now."""
     P = track.filter.best.covariance[VELOCITY, VELOCITY]
     along = track.velocity / max(float(np.linalg.norm(track.velocity)), 1e-9)
     margin = _LIKELIER * float(np.sqrt(along @ P @ along))
@@ -92,16 +89,17 @@ def _kind(track: Track, speed: float) -> PointLabel:
     return PointLabel.DYNAMIC if speed - margin > _MOVING_MPS else PointLabel.UNKNOWN
 
 
-def _doubted(
-    label: IntArray, own: BoolArray, beside: BoolArray, track: Track, motions: FeatureMotions
+def _checked_for_rest(
+    label: IntArray, own: BoolArray, in_box: BoolArray, track: Track, motions: FeatureMotions
 ) -> IntArray:
-    """Labels (N,), those of a moving track's own points and of those beside it by their motions."""
-    index = np.flatnonzero(own | beside)
+    """Labels (N,), corrected for a moving track's `own` points (N,), and for points of no track in
+    its box, `in_box` (N,), by their own motions."""
+    index = np.flatnonzero(own | in_box)
     P = track.filter.best.covariance[VELOCITY, VELOCITY]
-    at_rest, with_body = rest_or_body(motions, index, track.velocity, P)
-    mine, seems_static = own[index], label[index] == int(PointLabel.STATIC)
-    unclear = np.where(mine, at_rest < with_body, seems_static & (at_rest > with_body))
+    from_rest, from_body = distances_from_rest_and_body(motions, index, track.velocity, P)
+    of_track, static = own[index], label[index] == int(PointLabel.STATIC)
+    unclear = np.where(of_track, from_rest < from_body, static & (from_rest > from_body))
     out = label.copy()
     out[index[unclear]] = int(PointLabel.UNKNOWN)
-    out[index[mine & (at_rest + _CLEAR < with_body)]] = int(PointLabel.STATIC)
+    out[index[of_track & (from_rest + CLEARLY < from_body)]] = int(PointLabel.STATIC)
     return out

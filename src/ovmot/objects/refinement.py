@@ -1,30 +1,27 @@
-"""Bodies' motions and all their points refined together by reprojection errors.
+"""Bundle adjustment of bodies: their twists and all their points, by reprojection errors.
 
-A body turns and moves with one twist (ω, v) over the span: ω and v are along the world's axes, v is
-the velocity of the body's point at `origin` now. A point X of now was at an earlier time, s seconds
-ago, at M(s) X with M(s) = exp(-s (ω, v)) about the origin. Points are eliminated from the normal
-equations (Schur complement; B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1), all bodies of a
-frame in one batch.
+A body has one twist (ω, v) over the span: ω and v are along the world's axes, v is the velocity of
+the body's point at `origin` now. A present point X was at M(s) X s seconds ago, with M(s) =
+exp(-s (ω, v)) about the origin. Points are eliminated from the normal equations (Schur complement;
+B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1), all bodies of a frame in one batch.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.refinement_kernel import Sightings, reduce_points_compiled
+from ovmot.objects.refinement_kernel import Reduced, WeightedViews, reduce_points_compiled
+from ovmot.physics import gates
 from ovmot.settings import ObjectSettings
 from ovmot.types import PixelNoise
 
 _ITERATIONS = 6
-_WIDE_ITERATIONS = 2  # at first, that leave out only what is far off
-_SMALL_STEP = 0.02  # squared sigmas: of a step after which the next one is nothing
-_HUBER_SHARE = 0.1  # of good points that lie beyond the quadratic part of the loss
-_OUTLIER_SHARE = 0.001  # of good points that count as wrong
-_PRIOR_DOF = 20.0  # degrees of freedom that the noise told counts for
+_WIDE_ITERATIONS = 2  # the first ones, with a wider bound for outliers
+_SMALL_STEP = 0.02  # squared sigmas: a step that ends the iterations
+_PRIOR_DOF = 20.0  # weight of the prior noise in the variance factor, degrees of freedom
 _MIN_INVERSE_DEPTH = 1e-3
 
 
@@ -32,8 +29,8 @@ _MIN_INVERSE_DEPTH = 1e-3
 class BodyViews:
     """B bodies with M points in V views, the last one now.
 
-    `seen` (V, M, 4): plane coordinates, NaN where unseen; all are seen now. `body` (M,): whose
-    point. `T_world_cam0` (V, B, 4, 4), `span_s` (V, B): pose and age of each body's views.
+    `seen` (V, M, 4): normalized coordinates, NaN where unseen; all are seen now. `body` (M,): of
+    each point. `T_world_cam0` (V, B, 4, 4), `span_s` (V, B): pose and age of each body's views.
     `track_length` (V, B): frames over which a point was tracked. `origin` (B, 3) in world.
     """
 
@@ -46,8 +43,8 @@ class BodyViews:
 
     @property
     def about_origin(self) -> tuple[FloatArray, FloatArray]:
-        """From world axes about the origin into each view (V, B, 4, 4), and out of the present one
-        (B, 4, 4)."""
+        """Transforms (V, B, 4, 4) from world axes about the origin into each view, and (B, 4, 4)
+        out of the present one."""
         T = self.T_world_cam0.copy()
         T[..., :3, 3] -= self.origin
         return se3.inverse(T), T[-1]
@@ -57,9 +54,9 @@ class BodyViews:
 class RefinedBodies:
     """`twist` (B, 6) as (ω, v), `covariance` (B, 6, 6), points `p_world` (M, 3), `inlier` (M,).
 
-    `point_cov` (M, 3, 3): of the points for given twists; `by_twist` (M, 3, 6): how they follow it.
-    `misfit` (B,), up to 1: the variance of the noise as the points show it, as a share of what was
-    settings.
+    `point_cov` (M, 3, 3): of the points for given twists; `by_twist` (M, 3, 6): their derivative by
+    it. `variance_factor` (B,), at most 1: the variance of the pixel noise by the residuals, as a
+    share of the prior one.
     """
 
     twist: FloatArray
@@ -68,7 +65,7 @@ class RefinedBodies:
     inlier: BoolArray
     point_cov: FloatArray
     by_twist: FloatArray
-    misfit: FloatArray
+    variance_factor: FloatArray
 
 
 def refine_bodies(
@@ -82,44 +79,39 @@ def refine_bodies(
 ) -> RefinedBodies:
     """Levenberg-damped Gauss-Newton from `twist` (B, 6) and stereo points `p_cam0` (M, 3) of now.
 
-    Each point is (x, y, 1/z) in the present left camera. Its whole cost is robust: Huber's weights
-    beyond the bulk, none beyond what a good point shows. Turn rates have a prior: a weak one for
-    the yaw of bodies that `may_turn` (B,), one that leaves all but the translation to the others.
+    Each point is (x, y, 1/z) in the present left camera. The loss is robust in the cost of a whole
+    point: Huber's weight, and zero for outliers. Turn rates have a prior of mean zero: a weak one
+    for the yaw of bodies that `may_turn` (B,), else one that all but fixes them.
     """
     n_bodies = len(views.origin)
     prior = np.zeros((n_bodies, 6))
     prior[:, :3] = settings.tilt_rate_sigma_rps**-2.0
     prior[may_turn, 2] = settings.yaw_rate_sigma_rps**-2.0
-    sightings, valid = sightings_of(views, rig, noise)
+    weighted, valid = weighted_views(views, rig, noise)
     dof = 4 * valid.sum(0) - 3
-    huber = np.sqrt(chdtri(dof, _HUBER_SHARE))
-    bound = chdtri(dof, _OUTLIER_SHARE)
+    huber, bound = np.sqrt(gates(dof, 0.9)), gates(dof, 0.999)
     point = np.column_stack([p_cam0[:, :2], np.ones(len(p_cam0))]) / p_cam0[:, 2:]
-    held = np.eye(6) * (prior[:, None] + 1e-6)
+    prior_information = np.eye(6) * (prior[:, None] + 1e-6)
     for iteration in range(_ITERATIONS):
-        # Points far off now may only wait for a better motion: none is left out at first.
+        # A point far off now may fit a better motion: the bound is wide at first.
         wide = iteration < _WIDE_ITERATIONS
         reduced = reduce_points_compiled(
-            point, twist, sightings, huber, 9.0 * bound if wide else bound
+            point, twist, weighted, huber, 9.0 * bound if wide else bound
         )
-        information = reduced.information + held
+        information = reduced.information + prior_information
         gradient = reduced.gradient - prior * twist
-        step = np.linalg.solve(information, gradient[..., None])[..., 0]
-        follow = reduced.shift - np.einsum("mi,mij->mj", step[views.body], reduced.K)
-        # No point goes behind the camera, nor more than doubles its inverse depth.
-        follow[:, 2] = np.clip(follow[:, 2], -0.5 * point[:, 2], point[:, 2])
-        point = point + follow
-        point[:, 2] = np.maximum(point[:, 2], _MIN_INVERSE_DEPTH)
+        step = np.asarray(np.linalg.solve(information, gradient[..., None])[..., 0], np.float64)
+        point = _stepped_points(point, reduced, step[views.body])
         twist = twist + step
         squared_step = (step * gradient).sum(1)  # δᵀ N δ with N δ = g
         if not wide and squared_step.max() < _SMALL_STEP:
             break
-    # Misfit beyond the noise told widens the covariance; less misfit is only reported.
-    kept = np.where(reduced.inlier, 1.0, 0.0)
-    total = np.bincount(views.body, reduced.weight * reduced.left, n_bodies)
-    free = np.bincount(views.body, kept * dof, n_bodies)
-    widen = np.maximum(1.0, total / np.maximum(free, 1.0))[:, None, None]
-    misfit = np.minimum(1.0, (total + _PRIOR_DOF) / (free + _PRIOR_DOF))
+    # Noise above the prior one widens the covariance; noise below it is only reported.
+    inliers = np.where(reduced.inlier, 1.0, 0.0)
+    cost = np.bincount(views.body, reduced.weight * reduced.cost, n_bodies)
+    body_dof = np.bincount(views.body, inliers * dof, n_bodies)
+    widen = np.maximum(1.0, cost / np.maximum(body_dof, 1.0))[:, None, None]
+    variance_factor = np.minimum(1.0, (cost + _PRIOR_DOF) / (body_dof + _PRIOR_DOF))
     to_world, p_world = _world_points(point, views)
     return RefinedBodies(
         twist=twist,
@@ -128,18 +120,31 @@ def refine_bodies(
         inlier=reduced.inlier,
         point_cov=to_world @ reduced.N_inverse @ np.swapaxes(to_world, -1, -2),
         by_twist=to_world @ -np.swapaxes(reduced.K, -1, -2),
-        misfit=misfit,
+        variance_factor=variance_factor,
     )
 
 
-def sightings_of(
-    views: BodyViews, rig: StereoRig, noise: PixelNoise
-) -> tuple[Sightings, BoolArray]:
-    """The views with their noise, as the kernel takes them, and which of them (V, M) exist.
+def _stepped_points(point: FloatArray, reduced: Reduced, twist_step: FloatArray) -> FloatArray:
+    """Points (M, 3) after a step (M, 6) of their bodies' twists.
 
-    A patch that is followed slides on the thing, and the right match follows the slid left one. So
-    each pixel has its own noise σ, and both views share a slide c of the earlier times. Sum and
-    difference of the views are independent, with variances σ² + 2 c and σ².
+    No point goes behind the camera, nor more than doubles its inverse depth.
+    """
+    step: FloatArray = reduced.step - np.einsum("mi,mij->mj", twist_step, reduced.K)
+    step[:, 2] = np.clip(step[:, 2], -0.5 * point[:, 2], point[:, 2])
+    stepped: FloatArray = point + step
+    stepped[:, 2] = np.maximum(stepped[:, 2], _MIN_INVERSE_DEPTH)
+    return stepped
+
+
+def weighted_views(
+    views: BodyViews, rig: StereoRig, noise: PixelNoise
+) -> tuple[WeightedViews, BoolArray]:
+    """The views with their weights, as the kernel takes them, and which of them (V, M) exist.
+
+    A tracked patch drifts on the surface, and the right match is that of the drifted left one. So
+    each pixel has its own noise of variance σ², and both cameras share a drift of variance c since
+    the earlier times. Sum and difference of the cameras are independent, with variances σ² + 2 c
+    and σ².
     """
     f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
     focal = np.array([f0[0], f0[1], f1[0], f1[1]])
@@ -149,7 +154,7 @@ def sightings_of(
     drift = drift + (noise.drift_per_flow * np.nan_to_num(flow)) ** 2
     half = np.sqrt(0.5)
     into_view, out_of_now = views.about_origin
-    sightings = Sightings(
+    weighted = WeightedViews(
         seen=np.ascontiguousarray(views.seen),
         by_difference=np.where(valid, half / noise.sigma_px, 0.0),
         by_sum=np.where(valid, half / np.sqrt(noise.sigma_px**2 + 2.0 * drift), 0.0),
@@ -160,7 +165,7 @@ def sightings_of(
         T_cam1_cam0=np.ascontiguousarray(rig.T_cam1_cam0),
         focal=focal,
     )
-    return sightings, valid
+    return weighted, valid
 
 
 def _world_points(point: FloatArray, views: BodyViews) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""The compiled normal equations of the refinement, points eliminated.
+"""The compiled normal equations of the refinement, with the points eliminated.
 
 tests/objects/test_refinement_kernel.py holds its plain NumPy twin.
 """
@@ -14,13 +14,14 @@ from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.small_matrices import cross, invert_symmetric
 
 
-class Sightings(NamedTuple):
-    """M points of B bodies in V views, the last one now: what stays the same over iterations.
+class WeightedViews(NamedTuple):
+    """Stereo pairs of M points of B bodies in V views, the last one now, with their weights.
 
-    `seen` (V, M, 4): plane coordinates; `by_difference`, `by_sum` (V, M): inverse standard
-    deviations, 1/px, of the difference and the sum of both views, 0 where unseen. `body` (M,);
-    `span_s` (V, B). `into_view` (V, B, 4, 4): from world axes about each body's origin into its
-    views, `out_of_now` (B, 4, 4) out of the present one. `focal` (4,): pixels by plane unit.
+    `seen` (V, M, 4): normalized coordinates; `by_difference`, `by_sum` (V, M): inverse standard
+    deviations, 1/px, of the difference and the sum of both cameras, 0 where unseen. `body` (M,): of
+    each point; `span_s` (V, B). `into_view` (V, B, 4, 4): from world axes about each body's origin
+    into its views, `out_of_now` (B, 4, 4) out of the present one. `focal` (4,): focal lengths,
+    pixels.
     """
 
     seen: FloatArray
@@ -37,28 +38,29 @@ class Sightings(NamedTuple):
 class Reduced(NamedTuple):
     """Normal equations of B bodies, and per point (M,) what was eliminated.
 
-    `information` (B, 6, 6), `gradient` (B, 6) of the twists. `left` (M,): squared residuals at the
-    best point, `weight` (M,): zero for outliers. `N_inverse` (M, 3, 3), `shift` (M, 3): a point's
-    covariance and its own step; `K` (M, 6, 3): it goes K^T δ back as the twist goes δ.
+    `information` (B, 6, 6), `gradient` (B, 6) of the twists. `cost` (M,): sum of the squared
+    residuals at the best point, `weight` (M,): of the robust loss, zero for outliers. `N_inverse`
+    (M, 3, 3), `step` (M, 3): a point's covariance and its step for the given twist; `K` (M, 6, 3):
+    the step changes by -Kᵀ δ as the twist changes by δ.
     """
 
     information: FloatArray
     gradient: FloatArray
-    left: FloatArray
+    cost: FloatArray
     weight: FloatArray
     inlier: BoolArray
     N_inverse: FloatArray
-    shift: FloatArray
+    step: FloatArray
     K: FloatArray
 
 
 def reduce_points(
-    point: FloatArray, twist: FloatArray, s: Sightings, huber: FloatArray, bound: FloatArray
+    point: FloatArray, twist: FloatArray, s: WeightedViews, huber: FloatArray, bound: FloatArray
 ) -> Reduced:
     """The normal equations at points (M, 3) (x, y, 1/z) and twists (B, 6), points eliminated.
 
-    `huber` (M,): root of the squared residuals to which a point's loss is quadratic; `bound` (M,):
-    squared residuals from which it is an outlier.
+    `huber` (M,): root of the cost up to which a point's loss is quadratic; `bound` (M,): cost from
+    which it is an outlier.
     """
     n_bodies, n_points, n_views = len(twist), len(point), len(s.seen)
     out = Reduced(
@@ -79,9 +81,9 @@ def reduce_points(
                 view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, rows)
                 add_row_products(rows, s.span_s[v, b] > 0.0, products)
         eliminate(products, n, out)
-        out.inlier[n] = out.left[n] < bound[n]
+        out.inlier[n] = out.cost[n] < bound[n]
         if out.inlier[n]:
-            out.weight[n] = min(1.0, huber[n] / math.sqrt(max(out.left[n], 1e-12)))
+            out.weight[n] = min(1.0, huber[n] / math.sqrt(max(out.cost[n], 1e-12)))
             add_reduced(products, n, b, out)
     return out
 
@@ -98,15 +100,15 @@ def add_row_products(rows: FloatArray, moving: bool, products: FloatArray) -> No
 
 @part
 def eliminate(products: FloatArray, n: int, out: Reduced) -> None:
-    """Point n at its best for the given twist, from products of point (3), twist (6), residual."""
+    """Eliminate point n, from the products of derivatives by point (3), twist (6), residual."""
     invert_symmetric(products, out.N_inverse[n])
-    left = products[9, 9]
+    cost = products[9, 9]
     for a in range(3):
-        out.shift[n, a] = 0.0
+        out.step[n, a] = 0.0
         for c in range(3):
-            out.shift[n, a] += out.N_inverse[n, a, c] * products[c, 9]
-        left -= out.shift[n, a] * products[a, 9]
-    out.left[n] = left
+            out.step[n, a] += out.N_inverse[n, a, c] * products[c, 9]
+        cost -= out.step[n, a] * products[a, 9]
+    out.cost[n] = cost
     for a in range(6):
         for c in range(3):
             out.K[n, a, c] = 0.0
@@ -116,7 +118,7 @@ def eliminate(products: FloatArray, n: int, out: Reduced) -> None:
 
 @part
 def add_reduced(products: FloatArray, n: int, b: int, out: Reduced) -> None:
-    """Add what point n tells of the twist of body b (the Schur complement), by its weight."""
+    """Add the Schur complement of point n to the twist's equations of body b, by its weight."""
     for a in range(6):
         for c in range(7):  # the last one is the gradient
             term = products[3 + a, 3 + c] if a <= c else products[3 + c, 3 + a]
@@ -169,7 +171,7 @@ def through_body(xi: FloatArray, into_view: FloatArray, C: FloatArray, J: FloatA
 
 @part
 def view_rows(
-    point: FloatArray, C: FloatArray, J: FloatArray, span: float, v: int, n: int, s: Sightings,
+    point: FloatArray, C: FloatArray, J: FloatArray, span: float, v: int, n: int, s: WeightedViews,
     rows: FloatArray,
 ) -> None:  # fmt: skip
     """Rows (4, 10) of one view: derivatives by point (3) and twist (6), and the residual.

@@ -1,4 +1,4 @@
-"""The compiled search for the rigid motion that most points share.
+"""The compiled RANSAC search for the rigid motion that most points share.
 
 tests/objects/test_rigid_kernel.py holds its plain NumPy twin.
 """
@@ -11,9 +11,8 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
-GATE = 18.47  # 99.9 % of chi-squared with 4 degrees of freedom
-HEIGHT_SIGMAS = 4.0  # a triangle flatter than this many sigmas of its corners tells no rotation
-TURN_PENALTY = 11.34  # a rotation must explain as much more: 99 % of chi-squared, 3 more unknowns
+HEIGHT_SIGMAS = 4.0
+"""A triangle flatter than this many sigmas of its corners has no rotation."""
 
 
 def best_motion(
@@ -25,13 +24,17 @@ def best_motion(
     weight: FloatArray,
     T_cam1_cam0: FloatArray,
     least_cosine: float,
+    gate: float,
+    turn_penalty: float,
 ) -> tuple[float, FloatArray, BoolArray]:
     """The cost, motion (4, 4) and inliers (n,) of the best of all proposals p -> q.
 
-    Each of the triples (H, 3) proposes its mean translation and, unless it is degenerate or turns
-    by more than `least_cosine` tells, its rigid motion. `p`, `q` (n, 3): points then and now in the
-    left camera, `sigma` (n,) of them in metres. `seen` (n, 4): plane coordinates now, `weight`
-    (n, 4, 4) theirs. The cost is the sum of squared distances, each at most `GATE`.
+    Each of the triples (H, 3) proposes its mean translation and, unless it is degenerate or the
+    cosine of its turn is below `least_cosine`, its rigid motion. `p`, `q` (n, 3): points then and
+    now in the left camera, `sigma` (n,): their standard deviations, metres. `seen` (n, 4): the
+    normalized coordinates now in both views, `weight` (n, 4, 4): their inverse covariance. The cost
+    is the sum of squared Mahalanobis distances, each at most `gate`, plus `turn_penalty` for a
+    motion with a rotation.
     """
     best_cost, best, T = np.inf, np.eye(4), np.eye(4)
     inlier = np.zeros(len(p), dtype=np.bool_)
@@ -43,59 +46,31 @@ def best_motion(
                 T[a, b] = 1.0 if a == b else 0.0
             moved = wi * (q[i, a] - p[i, a]) + wj * (q[j, a] - p[j, a]) + wk * (q[k, a] - p[k, a])
             T[a, 3] = moved / (wi + wj + wk)
-        cost = _cost(T, p, seen, weight, T_cam1_cam0, best_cost)
+        cost = _cost(T, p, seen, weight, T_cam1_cam0, gate, best_cost)
         if cost < best_cost:
             best_cost = cost
-            _put(T, best)
+            _copy(T, best)
         wide = HEIGHT_SIGMAS * max(sigma[i], sigma[j], sigma[k])
         if not _height(q[i], q[j], q[k]) > wide:
             continue
         _register(p[i], p[j], p[k], q[i], q[j], q[k], T)
         if not 0.5 * (T[0, 0] + T[1, 1] + T[2, 2] - 1.0) > least_cosine:
             continue
-        cost = TURN_PENALTY + _cost(T, p, seen, weight, T_cam1_cam0, best_cost - TURN_PENALTY)
+        cost = turn_penalty + _cost(T, p, seen, weight, T_cam1_cam0, gate, best_cost - turn_penalty)
         if cost < best_cost:
             best_cost = cost
-            _put(T, best)
+            _copy(T, best)
     for n in range(len(p)):
-        inlier[n] = _distance(best, p[n], seen[n], weight[n], T_cam1_cam0) < GATE
+        inlier[n] = _distance(best, p[n], seen[n], weight[n], T_cam1_cam0) < gate
     return best_cost, best, inlier
 
 
-def velocity_errors(
-    information: FloatArray, weight: FloatArray, index: IntArray
-) -> tuple[FloatArray, IntArray]:
-    """What points (n,) tell together of their way since each of L rows, and how many were seen.
-
-    Traces (L,) of the inverse of summed `information` (L, M, 3, 3), m²; a point is seen in a row
-    where its `weight` (L, M, 4, 4) is not zero.
-    """
-    trace, count = np.empty(len(information)), np.zeros(len(information), dtype=np.int64)
-    total = np.empty((3, 3))
-    for row in range(len(information)):
-        for a in range(3):
-            for b in range(3):
-                total[a, b] = 1e-6 if a == b else 0.0
-        for n in index:
-            count[row] += weight[row, n, 0, 0] > 0.0
-            for a in range(3):
-                for b in range(3):
-                    total[a, b] += information[row, n, a, b]
-        A = total[1, 1] * total[2, 2] - total[1, 2] * total[2, 1]
-        B = total[1, 2] * total[2, 0] - total[1, 0] * total[2, 2]
-        C = total[1, 0] * total[2, 1] - total[1, 1] * total[2, 0]
-        minors = A + total[0, 0] * total[2, 2] - total[0, 2] * total[2, 0]
-        minors += total[0, 0] * total[1, 1] - total[0, 1] * total[1, 0]
-        trace[row] = minors / (total[0, 0] * A + total[0, 1] * B + total[0, 2] * C)
-    return trace, count
-
-
 @part
-def _put(T: FloatArray, place: FloatArray) -> None:
+def _copy(T: FloatArray, out: FloatArray) -> None:
     """Copy a matrix (4, 4)."""
     for a in range(4):
         for b in range(4):
-            place[a, b] = T[a, b]
+            out[a, b] = T[a, b]
 
 
 @part
@@ -105,12 +80,13 @@ def _cost(
     seen: FloatArray,
     weight: FloatArray,
     T_cam1_cam0: FloatArray,
+    gate: float,
     bound: float,
 ) -> float:
-    """Sum of squared distances, each at most `GATE`; given up where it is beyond the bound."""
+    """Sum of squared distances, each at most `gate`; stops once it is beyond the bound."""
     total = 0.0
     for n in range(len(p)):
-        total += min(_distance(T, p[n], seen[n], weight[n], T_cam1_cam0), GATE)
+        total += min(_distance(T, p[n], seen[n], weight[n], T_cam1_cam0), gate)
         if total >= bound:
             break
     return total
@@ -120,7 +96,7 @@ def _cost(
 def _distance(
     T: FloatArray, p: FloatArray, seen: FloatArray, weight: FloatArray, T_cam1_cam0: FloatArray
 ) -> float:
-    """Squared distance of a point p (3,) moved by T from where both views see it (4,)."""
+    """Squared Mahalanobis distance of a point p (3,), moved by T, from its stereo pair (4,)."""
     x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
     y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
     z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
@@ -201,4 +177,3 @@ def _in_own_axes(
 
 
 best_motion_compiled = compiled(best_motion, code_folder(Path(__file__)))
-velocity_errors_compiled = compiled(velocity_errors, code_folder(Path(__file__)))

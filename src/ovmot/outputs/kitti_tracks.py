@@ -24,10 +24,10 @@ Row = tuple[int | float | str, ...]
 
 
 class KittiTracks:
-    """Confirmed tracks, a row each and frame; a track that coasts is not seen and left out.
+    """Confirmed tracks, one row per track and frame; a track without a measurement is left out.
 
-    What the geometry does not tell is -1 (truncated, occluded). The type is `Pedestrian` for what
-    is narrow and slow, else `Car`; the score is the number of points seen of the body.
+    Truncated and occluded are -1: the geometry does not give them. The type is `Pedestrian` for
+    what is narrow and slow, else `Car`; the score is the number of points seen of the body.
     """
 
     _row = "%d %d %s -1 -1 %.6f" + " %.2f" * 4 + " %.4f" * 6 + " %.6f %d"

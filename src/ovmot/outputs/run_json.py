@@ -1,4 +1,4 @@
-"""`run.json`: what a run was given, what it did, and how it ended."""
+"""`run.json`: the inputs of a run, its counts, and how it ended."""
 
 import contextlib
 import json

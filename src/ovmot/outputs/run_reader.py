@@ -11,6 +11,7 @@ from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 
+TIME_OFFSET = "time_offset_s"
 _AXES = ("x", "y", "z")
 _VELOCITY = tuple(f"v{a}" for a in _AXES)
 _BIASES = tuple(f"{sensor}_bias_{a}" for sensor in ("gyro", "accel") for a in _AXES)
@@ -20,11 +21,17 @@ _SIGMAS = tuple(
 _STATE = ("rx", "ry", "rz", "x", "y", "z", "vx", "vy", "vz")
 _UPPER = np.triu_indices(len(_STATE))
 _COVARIANCE = tuple(f"cov_{_STATE[i]}_{_STATE[j]}" for i, j in zip(*_UPPER, strict=True))
+LABELS = ("unknown", "static", "dynamic")
+_POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
+_SIZE = ("length", "width", "height")
+_STD = ("std_x", "std_y", "std_z", "std_vx", "std_vy", "std_vz")
+REMEDY = "run it again, or give another run"
 
 
 @dataclass(frozen=True, slots=True)
 class EgoRun:
-    """Poses `T_world_imu` (N, 4, 4) of a run at rising stamps (N,), and what it knows with them.
+    """Poses `T_world_imu` (N, 4, 4) of a run at rising stamps (N,), and the state and its
+    uncertainty.
 
     `velocity` (N, 3) in m/s in the world, `gyro_bias` and `accel_bias` (N, 3); `sigma` (N, 15)
     over rotation (right perturbation), position, velocity and the two biases; `covariance`
@@ -41,70 +48,13 @@ class EgoRun:
     covariance: FloatArray | None = None
 
 
-def read_ego_run(run: Path) -> EgoRun:
-    """The poses of a run's folder, with `state.csv` and `covariance.csv` where they are there.
-
-    Raises `InputError` for a folder that is no run and for files that cannot be used.
-    """
-    path = run / "trajectory.tum"
-    if not run.is_dir():
-        problem = "is not a folder" if run.exists() else "no such folder"
-        raise InputError.at(run, problem, "give the output folder of 'ovmot run'")
-    if not path.is_file():
-        raise InputError.at(
-            run, "is not a run: it holds no trajectory.tum", "give the output folder of 'ovmot run'"
-        )
-    trajectory = read_tum(path)
-    stamps = trajectory.timestamp_ns
-    state = _columns_at(run / "state.csv", (*_VELOCITY, *_BIASES, *_SIGMAS), stamps)
-    upper = _columns_at(run / "covariance.csv", _COVARIANCE, stamps)
-    poses = EgoRun(stamps, trajectory.T_world_imu)
-    if state is not None:
-        velocity, gyro_bias, accel_bias, sigma = np.split(state, (3, 6, 9), axis=1)
-        poses = EgoRun(stamps, trajectory.T_world_imu, velocity, gyro_bias, accel_bias, sigma)
-    if upper is None:
-        return poses
-    return replace(poses, covariance=_symmetric(upper))
-
-
-def _symmetric(upper: FloatArray) -> FloatArray:
-    """Matrices (N, 9, 9) of their upper triangles (N, 45), row by row."""
-    matrix = np.empty((len(upper), len(_STATE), len(_STATE)))
-    i, j = _UPPER
-    matrix[:, i, j] = upper
-    matrix[:, j, i] = upper
-    return matrix
-
-
-def _columns_at(path: Path, columns: tuple[str, ...], stamps: IntArray) -> FloatArray | None:
-    """Columns (N, K) of a table at the stamps (N,), NaN where it has no such row.
-
-    None where there is no such file. Raises `InputError` for a table without these columns,
-    with a row that is broken, or with none of the stamps.
-    """
-    if not path.is_file():
-        return None
-    table = read_table(path, columns)
-    row_of = {stamp: row for row, stamp in enumerate(table.timestamp_ns.tolist())}
-    rows = np.array([row_of.get(stamp, -1) for stamp in stamps.tolist()], dtype=np.int64)
-    if np.all(rows < 0):
-        raise InputError.at(path, "has no row for any stamp of trajectory.tum", REMEDY)
-    out = np.full((len(stamps), len(columns)), np.nan)
-    out[rows >= 0] = table.values[rows[rows >= 0]]
-    return out
-
-
-LABELS = ("unknown", "static", "dynamic")
-_POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
-_SIZE = ("length", "width", "height")
-_STD = ("std_x", "std_y", "std_z", "std_vx", "std_vy", "std_vz")
-
-
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Rows (M,) of confirmed tracks, in the run's world: SI units, one row per track and frame.
+    """Rows (M,) of confirmed tracks in the run's world, one per track and frame; SI units.
 
-    `std` (M, 6): one-sigma of position and velocity.
+    `position`, `velocity` and `size` (M, 3), size as length, width, height; `yaw` and `yaw_rate`
+    (M,); `std` (M, 6): standard deviation of position and velocity. `timestamp_ns`, `track_id`
+    (M,).
     """
 
     timestamp_ns: IntArray
@@ -140,11 +90,63 @@ class LabelledPoints:
 
 @dataclass(frozen=True, slots=True)
 class GatedMatches:
-    """Rows (M,) of `stereo.csv`: pixels (M, 4) of both images, and the gate's verdict."""
+    """Rows (M,) of `stereo.csv`: pixels (M, 4) of both images, and whether the gate accepted the
+    match.
+    """
 
     timestamp_ns: IntArray
     pixels: FloatArray
     accepted: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationDeviations:
+    """Deviations (N, C) of the named coordinates from the calibration that the run was given.
+
+    `names` (C,) are the columns of `calibration.csv`, and `TIME_OFFSET`, whose value is the whole
+    offset in s; `sigma` (N, C) is the standard deviation of each. Rotations in rad (right
+    perturbation), positions in m, intrinsics in pixels; N stamps in ns.
+    """
+
+    timestamp_ns: IntArray
+    names: tuple[str, ...]
+    value: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of a file: stamps (N,) in ns, numbers (N, K), and one list of texts for each column."""
+
+    timestamp_ns: IntArray
+    values: FloatArray
+    texts: dict[str, list[str]]
+
+
+def read_ego_run(run: Path) -> EgoRun:
+    """The poses of a run's folder, with `state.csv` and `covariance.csv` where the run has them.
+
+    Raises `InputError` for a folder that is no run and for files that cannot be used.
+    """
+    path = run / "trajectory.tum"
+    if not run.is_dir():
+        problem = "is not a folder" if run.exists() else "no such folder"
+        raise InputError.at(run, problem, "give the output folder of 'ovmot run'")
+    if not path.is_file():
+        raise InputError.at(
+            run, "is not a run: it holds no trajectory.tum", "give the output folder of 'ovmot run'"
+        )
+    trajectory = read_tum(path)
+    stamps = trajectory.timestamp_ns
+    state = _columns_at(run / "state.csv", (*_VELOCITY, *_BIASES, *_SIGMAS), stamps)
+    upper = _columns_at(run / "covariance.csv", _COVARIANCE, stamps)
+    poses = EgoRun(stamps, trajectory.T_world_imu)
+    if state is not None:
+        velocity, gyro_bias, accel_bias, sigma = np.split(state, (3, 6, 9), axis=1)
+        poses = EgoRun(stamps, trajectory.T_world_imu, velocity, gyro_bias, accel_bias, sigma)
+    if upper is None:
+        return poses
+    return replace(poses, covariance=_symmetric(upper))
 
 
 def read_tracks(run: Path) -> Tracks | None:
@@ -193,16 +195,24 @@ def read_matches(run: Path) -> GatedMatches | None:
     return GatedMatches(table.timestamp_ns, table.values[:, :4], table.values[:, 4] > 0.5)
 
 
-REMEDY = "run it again, or give another run"
+def read_calibration(run: Path) -> CalibrationDeviations | None:
+    """The online calibration of a run, None where it estimated none; raises `InputError`.
 
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Rows of a file: stamps (N,) in ns, numbers (N, K), and one list of texts for each column."""
-
-    timestamp_ns: IntArray
-    values: FloatArray
-    texts: dict[str, list[str]]
+    The time offset is included where it was estimated: where it has a standard deviation.
+    """
+    path = run / "calibration.csv"
+    if not path.is_file() or path.stat().st_size == 0:
+        return None
+    with path.open(encoding="utf-8") as file:
+        columns = file.readline().strip().split(",")
+    names = tuple(name for name in columns if f"std_{name}" in columns)
+    table = read_table(path, (*names, *(f"std_{name}" for name in names)))
+    clock = read_table(run / "state.csv", (TIME_OFFSET, f"std_{TIME_OFFSET}")).values
+    value, sigma = np.split(table.values, 2, axis=1)
+    if (clock[:, 1] > 0.0).all():
+        names = (*names, TIME_OFFSET)
+        value, sigma = np.c_[value, clock[:, 0]], np.c_[sigma, clock[:, 1]]
+    return CalibrationDeviations(table.timestamp_ns, names, value, sigma)
 
 
 def read_table(path: Path, columns: tuple[str, ...], texts: tuple[str, ...] = ()) -> Table:
@@ -236,6 +246,33 @@ def read_table(path: Path, columns: tuple[str, ...], texts: tuple[str, ...] = ()
             found[name].append(fields[k])
     array = np.array(values, dtype=np.float64).reshape(-1, len(columns))
     return Table(np.array(stamps, dtype=np.int64), array, found)
+
+
+def _symmetric(upper: FloatArray) -> FloatArray:
+    """Matrices (N, 9, 9) of their upper triangles (N, 45), row by row."""
+    matrix = np.empty((len(upper), len(_STATE), len(_STATE)))
+    i, j = _UPPER
+    matrix[:, i, j] = upper
+    matrix[:, j, i] = upper
+    return matrix
+
+
+def _columns_at(path: Path, columns: tuple[str, ...], stamps: IntArray) -> FloatArray | None:
+    """Columns (N, K) of a table at the stamps (N,), NaN where it has no such row.
+
+    None where there is no such file. Raises `InputError` for a table without these columns,
+    with a row that is broken, or with none of the stamps.
+    """
+    if not path.is_file():
+        return None
+    table = read_table(path, columns)
+    row_of = {stamp: row for row, stamp in enumerate(table.timestamp_ns.tolist())}
+    rows = np.array([row_of.get(stamp, -1) for stamp in stamps.tolist()], dtype=np.int64)
+    if np.all(rows < 0):
+        raise InputError.at(path, "has no row for any stamp of trajectory.tum", REMEDY)
+    out = np.full((len(stamps), len(columns)), np.nan)
+    out[rows >= 0] = table.values[rows[rows >= 0]]
+    return out
 
 
 def _rows(path: Path) -> Iterator[list[str]]:

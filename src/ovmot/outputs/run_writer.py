@@ -1,4 +1,4 @@
-"""The folder of a run: which files it gets, and that they are all closed whatever happens."""
+"""The folder of a run: its files, all of which are closed also after an error."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Picture of the stereo gate: which matches the extrinsics accept, and their epipolar lines."""
+"""Overlay of the stereo gate: which matches the extrinsics accept, and their epipolar lines."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ovmot.types import StereoFrame, StereoMatches
 
 _OUTLIER_REACH_PX = 60.0
 _INLIER_REACH_PX = 15.0
-_SAMPLES = 13  # along a line, which the lens bends into a curve
+_SAMPLES = 13  # along a line, which the distortion bends into a curve
 
 
 def draw_stereo(

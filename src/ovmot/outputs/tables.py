@@ -118,10 +118,10 @@ class CalibrationTable:
 
 
 class PointsTable:
-    """`points.csv`: every feature of every frame with its verdict.
+    """`points.csv`: every feature of every frame with its label.
 
-    Features that the right camera follows by itself are left out: their place in the left image,
-    which the table is about, is not known.
+    Features that only the right camera tracks are left out: they have no position in the left
+    image.
     """
 
     columns = "timestamp_ns,feature_id,u,v,u_right,v_right,x_cam,y_cam,z_cam,label,track_id"

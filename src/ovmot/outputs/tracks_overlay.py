@@ -1,4 +1,4 @@
-"""The tracked bodies in a picture: 2-D and 3-D box, id, speed, and the way they came."""
+"""Overlay of the tracks: 2-D and 3-D box, id, speed and past path of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,8 +14,8 @@ from ovmot.types import FrameResult, ObjectTrack
 TRAIL_S = 4.0
 """How much of a track's way is shown."""
 _NEAREST_M = 0.3  # what is nearer to the camera's plane is cut off
-_MOST_GAP_M = 8.0  # a longer step of a trail would be a line across the picture
-_SAMPLES = 12  # along an edge, which the lens bends into a curve
+_MOST_GAP_M = 8.0  # a longer step of a trail would be a line across the image
+_SAMPLES = 12  # along an edge, which the distortion bends into a curve
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)])
 _FRONT = np.array([(4, 7), (5, 6)])  # a cross on the side that the body moves towards
@@ -23,7 +23,7 @@ _FRONT = np.array([(4, 7), (5, 6)])  # a cross on the side that the body moves t
 
 @dataclass(frozen=True, slots=True)
 class Trails:
-    """Where the confirmed tracks of the last seconds were: times (ns) and positions in the world.
+    """Past positions of the confirmed tracks: times (ns) and positions in the world, last seconds.
 
     `segment` is the run's: positions before a restart belong to another world.
     """
@@ -51,18 +51,18 @@ class Trails:
 
 
 def draw_tracks(
-    picture: Image,
+    image: Image,
     tracks: Sequence[ObjectTrack],
     trails: Trails,
     T_cam0_world: FloatArray,
     camera: Camera,
     scale: float = 1.0,
 ) -> None:
-    """Draw the confirmed tracks into a picture `scale` times as large as the left image.
+    """Draw the confirmed tracks into an image `scale` times as large as the left image.
 
     Each has a colour of its own: the box of its points in the image (dark) and its 3-D box, with
     a cross on the side it moves towards, the way it came, its id and its speed. `T_cam0_world`
-    (4, 4) is the corrected pose; what is behind the camera or beyond the lens is cut off.
+    (4, 4) is the corrected pose; what is behind the camera or beyond the camera model is cut off.
     """
     shown = [track for track in tracks if track.state == "confirmed"]
     for track in shown:
@@ -71,12 +71,12 @@ def draw_tracks(
         ways = np.stack([trail[:-1], trail[1:]], axis=1)
         ways = ways[np.linalg.norm(ways[:, 1] - ways[:, 0], axis=1) < _MOST_GAP_M]
         if np.isfinite(track.box_px).all():
-            drawing.rectangle(picture, track.box_px, drawing.dimmed(color), scale)
+            drawing.rectangle(image, track.box_px, drawing.dimmed(color), scale)
         for ends in (ways, body_edges(track)):
-            drawing.curves(picture, seen_pieces(ends, T_cam0_world, camera), color, scale)
+            drawing.curves(image, seen_pieces(ends, T_cam0_world, camera), color, scale)
     for track in shown:  # above all lines
         words = f"#{track.track_id}  {np.linalg.norm(track.velocity):.1f} m/s"
-        drawing.label(picture, track.box_px[:2], words, drawing.color_of(track.track_id), scale)
+        drawing.label(image, track.box_px[:2], words, drawing.color_of(track.track_id), scale)
 
 
 def body_edges(track: ObjectTrack) -> FloatArray:
@@ -90,7 +90,7 @@ def body_edges(track: ObjectTrack) -> FloatArray:
 def seen_pieces(ends: FloatArray, T_cam0_world: FloatArray, camera: Camera) -> FloatArray:
     """Pixels (M, 2, 2) of the pieces of straight lines (N, 2, 3) in the world that are seen.
 
-    A piece is left out where it is behind the camera, out of the image, or where the lens model
+    A piece is left out where it is behind the camera, out of the image, or where the camera model
     has folded back.
     """
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]

@@ -30,9 +30,9 @@ _OPTIONS = {"preset": "superfast", "crf": "23"}
 
 
 def compose(result: FrameResult, rig: StereoRig, trails: Trails = Trails()) -> Image:  # noqa: B008 - frozen
-    """One picture of even size (BGR): the stereo overlay, below it the dynamic one as wide.
+    """One image of even size (BGR): the stereo overlay, below it the dynamic one as wide.
 
-    The latter holds the confirmed tracks and the ways they came, `trails`.
+    The latter also shows the confirmed tracks and their past paths, `trails`.
 
     It is twice as wide as an image, but no wider than 1920 pixels. Raises `OvmotError` for a frame
     without images.
@@ -49,14 +49,15 @@ def compose(result: FrameResult, rig: StereoRig, trails: Trails = Trails()) -> I
     draw_tracks(lower, result.tracks, trails, T_cam0_world, rig.cam0, scale)
     height = upper.shape[0] + lower.shape[0]
     canvas = np.zeros((height + height % 2, width, 3), dtype=np.uint8)
-    for picture, top in ((upper, 0), (lower, upper.shape[0])):
-        across = min(width, picture.shape[1])  # rounding may make a scaled picture a pixel wider
-        canvas[top : top + picture.shape[0], :across] = picture[:, :across]
+    for image, top in ((upper, 0), (lower, upper.shape[0])):
+        across = min(width, image.shape[1])  # rounding may make a scaled one a pixel wider
+        canvas[top : top + image.shape[0], :across] = image[:, :across]
     return canvas
 
 
 class OverlayVideo:
-    """Draws and encodes results in a thread of its own; `write` waits only when that one lags.
+    """Draws and encodes results in a thread of its own; `write` waits only where that thread is
+    behind.
 
     What goes wrong there is raised by the next `write`, or by `close`. A run without frames
     leaves no file.
@@ -68,7 +69,7 @@ class OverlayVideo:
         self._queue: queue.Queue[FrameResult | None] = queue.Queue(_WAITING_FRAMES)
         self._failure: Exception | None = None
         self._closed = False
-        self._ended = False  # the worker has been told that nothing more comes
+        self._ended = False  # the worker knows that nothing more comes
         self._thread = threading.Thread(target=self._work, name="overlay", daemon=True)
         self._thread.start()
 
@@ -119,10 +120,10 @@ class OverlayVideo:
         second = self._next()
         gap_ns = second.timestamp_ns - first.timestamp_ns if second else _NS_PER_S // 10
         trails = Trails().extended(first)
-        picture = compose(first, self._rig, trails)
-        encoder = _Encoder(self._path, picture.shape[1], picture.shape[0], gap_ns)
+        image = compose(first, self._rig, trails)
+        encoder = _Encoder(self._path, image.shape[1], image.shape[0], gap_ns)
         try:
-            encoder.encode(picture, 0)
+            encoder.encode(image, 0)
             following = second
             while following is not None:
                 elapsed_ns = following.timestamp_ns - first.timestamp_ns
@@ -146,14 +147,14 @@ class _Encoder:
         stream.codec_context.time_base = Fraction(1, _TICKS_PER_S)
         stream.codec_context.thread_count = 1  # the stream must not depend on the machine's cores
         stream.codec_context.gop_size = 30
-        stream.codec_context.colorspace = _BT601  # else players take large pictures for BT.709
+        stream.codec_context.colorspace = _BT601  # else players take large images for BT.709
         stream.codec_context.color_range = _LIMITED_RANGE
         self._stream = stream
         self._last_tick = -1
 
-    def encode(self, picture: Image, elapsed_ns: int) -> None:
-        """Append one BGR picture, to be shown `elapsed_ns` after the first one."""
-        yuv = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), dtype=np.uint8)
+    def encode(self, image: Image, elapsed_ns: int) -> None:
+        """Append one BGR image, to be shown `elapsed_ns` after the first one."""
+        yuv = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420), dtype=np.uint8)
         frame = av.VideoFrame.from_ndarray(yuv, format="yuv420p")
         tick = elapsed_ns * _TICKS_PER_S // _NS_PER_S
         self._last_tick = max(tick, self._last_tick + 1)

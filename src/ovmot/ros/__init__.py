@@ -1,1 +1,1 @@
-"""ROS at the edge: what a run says as messages, in bags and live."""
+"""ROS: the results of a run as messages, in bags and live."""

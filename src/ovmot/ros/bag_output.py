@@ -1,4 +1,4 @@
-"""A run as a bag: what a live node would publish, at the stamps of the frames."""
+"""Bags that ovmot writes: the results of a run, and the sensors of a recorded sequence."""
 
 from pathlib import Path
 
@@ -16,7 +16,10 @@ from ovmot.types import FrameResult, ImuSample, StereoFrame
 
 
 class BagOutput:
-    """An output of a run (see `outputs.run_writer`); `overlay` adds the pictures of the video."""
+    """The messages that a live node would publish, as an output of a run (`run_writer.Output`).
+
+    `overlay` adds the frames of the video.
+    """
 
     def __init__(
         self, path: Path, rig: StereoRig, *, overlay: bool = False, replace: bool = False
@@ -33,8 +36,8 @@ class BagOutput:
         said = frame_messages(result, self._path)
         if self._overlay and isinstance(result.frame, StereoFrame):
             self._trails = self._trails.extended(result)
-            picture = compose(result, self._rig, self._trails)
-            said.append(overlay_message(result.timestamp_ns, picture))
+            overlay = compose(result, self._rig, self._trails)
+            said.append(overlay_message(result.timestamp_ns, overlay))
         for published in said:
             self._bag.write(published, result.timestamp_ns)
 
@@ -46,7 +49,7 @@ LEFT, RIGHT, IMU = "/cam0/image_raw", "/cam1/image_raw", "/imu0"
 
 
 def write_sequence_bag(path: Path, sequence: RecordedSequence) -> int:
-    """Write the grey images and the IMU samples of a sequence; the number of stereo frames.
+    """Write the grey images and the IMU samples of a sequence; returns the number of stereo frames.
 
     `path` is as in `BagWriter`. IMU samples are those that a run reads (`stream.events`).
     """

@@ -22,7 +22,7 @@ _ENDINGS = "end it in .bag (ROS 1) or .mcap (ROS 2), or in nothing: a folder wit
 
 
 class BagWriter:
-    """A new bag, its kind by the ending: `.bag`, `.mcap`, or none: a folder with a `.db3`.
+    """A new bag; the ending chooses its kind: `.bag`, `.mcap`, or none: a folder with a `.db3`.
 
     A context manager. An `.mcap` stands in a folder `<name>.unfinished` until it is closed.
     Raises `InputError` where the bag is there already or cannot be made; with `replace`, an

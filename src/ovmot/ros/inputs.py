@@ -1,4 +1,4 @@
-"""What a live node is told and listens to, whichever ROS it is: calibration and topics."""
+"""What a live node of either ROS is given and listens to: calibration and topics."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ def input_topics(live: LiveSettings, resolved: Callable[[str], str]) -> dict[str
 
 
 def why_silent(topic: InputTopic, published: Mapping[str, str]) -> str:
-    """What the topics that are published, by their types, tell of one where nothing comes."""
+    """Why a topic may be silent, judged by the published topics and their types."""
     type_name = published.get(topic.name)
     if type_name == topic.type_name:
         return "it is published, but nothing comes"

@@ -1,4 +1,4 @@
-"""Our messages as instances of a ROS's own classes, and its IMU messages as ours; for both ROS."""
+"""Messages as instances of the classes of ROS 1 or ROS 2, and their IMU messages as samples."""
 
 from collections.abc import Callable
 from typing import Any

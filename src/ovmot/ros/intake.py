@@ -1,6 +1,6 @@
-"""What has come in and not been worked on: the one thing that callbacks and worker share.
+"""Received data that waits to be processed: the only object that callbacks and worker share.
 
-Callbacks put, the worker takes; both only for moments. Here it is decided what is dropped: whole
+Callbacks put, the worker takes; neither blocks for long. What is dropped is decided here: whole
 frames, the oldest first, so that the lag is bounded on a machine that is too slow. A frame that
 waits for a silent IMU is no such lag: it is held, and what was held is worked off bit by bit.
 """
@@ -18,6 +18,8 @@ from ovmot.settings import LiveSettings
 from ovmot.types import ImuSample
 
 _MOST_IMU_SAMPLES = 50_000  # a minute and more, while the first frames compile
+JUMP_S = 0.5
+"""Stamps that go back by more than this are a restart of the source, by less are late."""
 _CATCH_UP = 0.2
 """Of the frames held for the IMU, how many must be worked off with each new one: a worker a fifth
 quicker than the camera loses none; a slower one loses single frames, never many in a row."""
@@ -98,7 +100,7 @@ class Intake:
                 self._changed.notify()
 
     def restart(self, why: str) -> None:
-        """Forget everything that waits; the worker begins again."""
+        """Drop everything that waits; the worker starts anew."""
         with self._changed:
             self._begin_again(why)
             self._changed.notify()
@@ -153,7 +155,7 @@ class Intake:
 
     def _is_in_order(self, name: str, stamp_ns: int) -> bool:
         """Note a stamp. False for a late message or a stray one; a jump begins everything again."""
-        stream, jump_ns = self._streams[name], 1e9 * self._settings.jump_s
+        stream, jump_ns = self._streams[name], 1e9 * JUMP_S
         if stream.before_ns is not None and abs(stamp_ns - stream.before_ns) < jump_ns:
             self._counts["late"] += 1  # sent before the restart, and still on its way
             return False

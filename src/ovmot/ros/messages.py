@@ -1,4 +1,4 @@
-"""What the pipeline says about a frame, as ROS messages; pure, for bags and live nodes alike.
+"""The result of a frame as ROS messages: pure functions, for bags and live nodes.
 
     path = PathSoFar()
     for result in pipeline.feed(event):
@@ -63,7 +63,7 @@ class FrameNames:
 
 @dataclass(frozen=True, slots=True)
 class PathSoFar:
-    """The way of the IMU in one segment, at most `MOST` poses: times (ns) and poses (4, 4).
+    """The path of the IMU in one segment, at most `MOST` poses: times (ns) and poses (4, 4).
 
     Poses nearer than `spacing_m` to the last one kept are left out; when there are too many, every
     second one goes and the spacing doubles. So the whole way stays, and no message grows for ever.
@@ -110,11 +110,11 @@ def frame_messages(
 
 def overlay_message(
     timestamp_ns: int,
-    picture: Image,
+    overlay: Image,
     names: FrameNames = FrameNames(),
 ) -> Published:
     """The overlay (height, width, 3), blue-green-red."""
-    return Published(OVERLAY, image(timestamp_ns, names.cam0, picture))
+    return Published(OVERLAY, image(timestamp_ns, names.cam0, overlay))
 
 
 def odometry(ego: EgoEstimate, names: FrameNames) -> Message:

@@ -1,4 +1,4 @@
-"""Segments and ids of a live node: those of its pipelines one after the other, none used twice."""
+"""Segments and ids of a live node: no number is used twice when the odometry is restarted."""
 
 from dataclasses import dataclass, replace
 
@@ -9,14 +9,14 @@ from ovmot.types import FrameResult
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """A segment, the id of a track and that of a feature: where a pipeline's own 0 is moved to."""
+    """Offsets of segment, track id and feature id that are added to those of one odometry."""
 
     segment: int = 0
     track: int = 0
     feature: int = 0
 
     def applied(self, result: FrameResult) -> FrameResult:
-        """A pipeline's result with its numbers moved up by these."""
+        """A result with these offsets added to its numbers."""
         points, matches = result.points, result.matches
         on_track = points.track_id >= 0
         return replace(
@@ -32,7 +32,7 @@ class Numbers:
         )
 
     def beyond(self, result: FrameResult) -> "Numbers":
-        """The first numbers that neither these are past nor a result holds that has been moved."""
+        """Offsets beyond these and beyond all numbers of a result of this node."""
         features = (result.points.feature_id, result.matches.feature_id)
         return Numbers(
             max(self.segment, result.segment + 1),

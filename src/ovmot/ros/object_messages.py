@@ -113,7 +113,7 @@ def _marker(at: Message, track: ObjectTrack, namespace: str, shape: dict[str, Va
 
 
 def _pose(track: ObjectTrack) -> FloatArray:
-    """The box in the world (4, 4), turned about z; not at all where the heading is not known."""
+    """The box in the world (4, 4), turned about z by the yaw; by 0 where the yaw is unknown."""
     yaw = float(np.nan_to_num(track.yaw))
     cos, sin = np.cos(yaw), np.sin(yaw)
     R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -1,4 +1,4 @@
-"""Left and right images made pairs by their stamps."""
+"""Pairs of left and right images by their stamps."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ class ImagePair:
 
 
 class StereoPairing:
-    """Keeps images until their other half comes, at most ten a camera; later ones win.
+    """Keeps images until their partner arrives, at most the ten newest of each camera.
 
-    Pairs come out in the order of time: what is older than a pair made will not be paired.
+    Pairs come out in the order of time: images older than the last pair are never paired.
     """
 
     def __init__(self, tolerance_ns: int) -> None:
@@ -43,7 +43,7 @@ class StereoPairing:
         return ImagePair(found[0], found[1], message)
 
     def clear(self) -> None:
-        """Forget the images that wait."""
+        """Drop the images that wait."""
         for waiting in self._waiting.values():
             waiting.clear()
 
@@ -54,7 +54,10 @@ class StereoPairing:
         waiting.append((stamp_ns, message))
 
     def _drop_until(self, stamp_ns: int) -> None:
-        """Drop what is not newer than a pair; the pair's own waiting half is no loss."""
+        """Drop the images up to a pair's stamp.
+
+        The pair's own waiting image is not counted as lost.
+        """
         lost = -1
         for waiting in self._waiting.values():
             while waiting and waiting[0][0] <= stamp_ns:

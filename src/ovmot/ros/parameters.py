@@ -1,4 +1,4 @@
-"""The node's private parameters, which are the settings by other means."""
+"""The node's private parameters: settings that a launch file gives."""
 
 import json
 from collections.abc import Mapping

@@ -1,10 +1,10 @@
-"""A look at the ROS master now and then: nodes live on without it, but cannot find each other."""
+"""Watches the ROS master: without one, connected nodes go on, but new ones cannot be found."""
 
 from typing import Any
 
 
 class MasterWatch:
-    """Says once that the master is gone; when there is one again, makes this node known to it."""
+    """Reports once that the master is gone; registers this node again when there is a new one."""
 
     def __init__(self, rospy: Any) -> None:
         import rosgraph

@@ -43,9 +43,9 @@ def run_node(config: Path | None, calibration: Path | None, overrides: tuple[str
     rospy = _import_rospy()
     _require_master()
     rospy.init_node("ovmot", disable_signals=True)
-    told = read_parameters(rospy.get_param("~", {}))
-    settings = load_settings(config or told.config, [*told.overrides, *overrides])
-    known = live_calibration(calibration or told.calibration)
+    given = read_parameters(rospy.get_param("~", {}))
+    settings = load_settings(config or given.config, [*given.overrides, *overrides])
+    known = live_calibration(calibration or given.calibration)
     node = _Node(rospy, settings, known)
     try:
         node.spin()

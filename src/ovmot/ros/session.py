@@ -1,4 +1,4 @@
-"""The worker of the live node: what was taken in goes through the pipeline, messages come out.
+"""The worker of the live node: received data goes through the odometry, messages come out.
 
 Nothing here knows a version of ROS: a `Sink` sends the messages.
 """
@@ -56,7 +56,7 @@ class Sink(Protocol):
 
 
 class Session:
-    """Runs a pipeline on an intake; after a restart, or where one breaks down, on with a new one.
+    """Runs the odometry on an intake; after a restart or an error, with a new odometry.
 
     Use it from one thread. `counts` are the frames by what became of them, `say` tells the user.
     """
@@ -88,7 +88,10 @@ class Session:
         self._latency_s: deque[float] = deque(maxlen=_LATENCIES)
 
     def work_once(self) -> None:
-        """Wait a moment for work and do it; what goes wrong is said, and the next batch goes on."""
+        """Wait a moment for work and do it.
+
+        An error is reported, and the next batch is taken as before.
+        """
         batch = self._intake.take(_WAIT_S)
         if batch.restart is not None:
             self._begin_again(batch.restart)
@@ -101,7 +104,7 @@ class Session:
             self._begin_again(str(error))
 
     def close(self) -> None:
-        """End the pipeline's threads."""
+        """End the odometry's threads."""
         self._pipeline.finish()
 
     def latency_ms(self, percent: float) -> float | None:
@@ -133,7 +136,7 @@ class Session:
         self._said_s.pop("start", None)
 
     def _results(self, event: Event) -> Iterator[FrameResult]:
-        """What the pipeline makes of an event, with segments and ids of their own."""
+        """The results of an event, with segments and ids that no earlier odometry has used."""
         for result in self._pipeline.add(event):
             stamp = result.timestamp_ns
             if not np.all(np.isfinite(result.ego.T_world_imu)):
@@ -166,8 +169,8 @@ class Session:
     def _publish_overlay(self, result: FrameResult) -> None:
         self._trails = self._trails.extended(result)
         if self._sink.wanted(OVERLAY):
-            picture = compose(result, self._rig, self._trails)
-            self._sink.send(overlay_message(result.timestamp_ns, picture, self._names))
+            overlay = compose(result, self._rig, self._trails)
+            self._sink.send(overlay_message(result.timestamp_ns, overlay, self._names))
 
     def _say_why_not_started(self) -> None:
         if not self._pipeline.started:
@@ -185,9 +188,7 @@ class Session:
 
 def frame_names(settings: LiveSettings) -> FrameNames:
     """What the settings call the frames."""
-    return FrameNames(
-        settings.world_frame, settings.imu_frame, settings.left_frame, settings.right_frame
-    )
+    return FrameNames(*settings.frames)
 
 
 def decoded(waiting: WaitingPair, settings: LiveSettings, rig: StereoRig) -> StereoFrame:

@@ -124,9 +124,9 @@ def point_cloud(timestamp_ns: int, frame: str, points: AnyArray) -> Message:
     )
 
 
-def image(timestamp_ns: int, frame: str, picture: AnyArray) -> Message:
-    """A picture (height, width) in grey or (height, width, 3) in blue-green-red, uint8."""
-    packed = np.ascontiguousarray(picture)
+def image(timestamp_ns: int, frame: str, pixels: AnyArray) -> Message:
+    """An image (height, width) in grey or (height, width, 3) in blue-green-red, uint8."""
+    packed = np.ascontiguousarray(pixels)
     height, width = packed.shape[:2]
     return Message(
         "sensor_msgs/Image",

@@ -1,4 +1,4 @@
-"""Says which input is silent and why, and what has been lost since the last look; pure."""
+"""Reports which input is silent and why, and what was lost since the last look: pure functions."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -91,7 +91,8 @@ class Watch:
         return replace(seen, reported_s=now_s, reported=counts), lines
 
     def _why(self, name: str, sight: Sight, before: str) -> str:
-        """What may be the reason of a silence, to go behind it; where nothing is known, as before.
+        """The likely reason of a silence, appended to its report; the earlier one where none is
+        known.
 
         How far apart stamps are changes with each pair: that is said once.
         """

@@ -1,4 +1,4 @@
-"""The thread between a node's callbacks and its messages; it knows no version of ROS."""
+"""The thread between a node's callbacks and its messages, for either version of ROS."""
 
 import threading
 import time
@@ -53,7 +53,7 @@ class Worker:
         return lines
 
     def close(self) -> str:
-        """End the thread; one line on what became of the frames and how late they were."""
+        """End the thread; returns one line with the counts of frames and their latency."""
         self._ending.set()
         self._thread.join(timeout=5.0)
         self._session.close()

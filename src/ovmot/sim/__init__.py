@@ -1,1 +1,1 @@
-"""Simulation with exact truth: trajectories, an IMU, a rendered street."""
+"""Simulation with exact truth: trajectories, an IMU, rendered streets, features."""

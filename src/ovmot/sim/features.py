@@ -1,7 +1,7 @@
 """Feature-level simulation: points along a path, seen as pixels with ids, and IMU samples.
 
-No images: what a perfect tracker would give, with noise and wrong stereo matches as asked. Points
-are made where the rig comes to see too few of them and stay where they are, as in OpenVINS's
+No images: the output of a perfect tracker, with pixel noise and wrong stereo matches as asked for.
+Points are made where the rig comes to see too few of them and stay where they are, as in OpenVINS's
 simulator (P. Geneva et al., "OpenVINS", ICRA 2020).
 """
 
@@ -130,7 +130,7 @@ class FeatureRecording:
             yield world.observe(time_ns)
 
     def events(self) -> Generator[Event, None, None]:
-        """IMU samples and frames as the pipeline takes them, by their time on the IMU's clock."""
+        """IMU samples and frames for the odometry, in order of time on the IMU's clock."""
         data = self.imu.data
         offset_ns = round(1e9 * self.simulation.rig.time_offset_s)
         i = 0
@@ -163,7 +163,7 @@ class FeatureRecording:
 
 
 class _World:
-    """The points made so far, and which were seen in the last frame, under which id.
+    """The points made so far, and the ids of those that were seen in the last frame.
 
     A point's index is its place in the map; those of bodies count down from -1.
     """
@@ -272,7 +272,7 @@ class _World:
 def _seen(
     camera: Camera, T_world_cam: FloatArray, p_world: FloatArray, max_depth: float
 ) -> BoolArray:
-    """Which points (N, 3) lie before a camera, near enough and inside its picture."""
+    """Which points (N, 3) lie before a camera, near enough and inside its image."""
     uv, depth = _projected(camera, T_world_cam, p_world)
     return np.asarray(camera.inside(uv) & (depth <= max_depth))
 
@@ -282,7 +282,7 @@ def _projected(
 ) -> tuple[FloatArray, FloatArray]:
     """Pixels (N, 2) of points (N, 3), NaN for what the camera can not see, and depths (N,).
 
-    It can not see what is behind it, far outside its picture, or past the reach of its lens model,
+    It can not see what is behind it, far outside its image, or past the reach of its camera model,
     which folds over there.
     """
     p_cam = se3.apply(se3.inverse(T_world_cam), p_world)
@@ -290,8 +290,8 @@ def _projected(
     with np.errstate(all="ignore"):
         uv = camera.project(p_cam)
         off_center = np.abs(uv - 0.5 * np.array([camera.width, camera.height]))
-        near_picture = np.all(off_center < 0.6 * max(camera.width, camera.height), axis=1)
-        maybe = np.flatnonzero(near_picture & (depth > _NEAR_M))
+        near_image = np.all(off_center < 0.6 * max(camera.width, camera.height), axis=1)
+        maybe = np.flatnonzero(near_image & (depth > _NEAR_M))
         off = camera.normalize(uv[maybe]) - p_cam[maybe, :2] / depth[maybe, None]
     seen = maybe[np.abs(off).max(axis=1, initial=0.0) < 1e-6]
     out = np.full_like(uv, np.nan)

@@ -20,7 +20,7 @@ EUROC_NOISE = ImuNoise(gyro=1.6968e-4, gyro_walk=1.9393e-5, accel=2e-3, accel_wa
 
 
 def handheld_rig() -> StereoRig:
-    """A 752x480 rig of the build of EuRoC's sensor: 0.11 m baseline, wide distorted lenses."""
+    """A 752x480 rig of the build of EuRoC's sensor: 0.11 m baseline, wide and distorted."""
     left = Camera.make(
         (752, 480), (458.7, 457.3), (367.2, 248.4), "radtan", [-0.2834, 0.0740, 1.9e-4, 1.8e-5]
     )

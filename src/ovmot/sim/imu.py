@@ -73,8 +73,8 @@ def simulated_imu(
 ) -> SimulatedImu:
     """What a real IMU of this model gives at its own stamps (N,), fewer where samples are lost.
 
-    Its errors bend the exact readings, bias and noise come on top, then the sensors' ranges cut
-    them, and then samples get lost (see `ImuErrors` for the equations).
+    The exact readings get the systematic errors, then bias and noise; then they are cut to the
+    sensors' ranges, and samples are dropped (see `ImuErrors` for the equations).
     """
     perfect = perfect_imu(path, timestamp_ns, time_offset_s=time_offset_s)
     noisy = noisy_imu(

@@ -1,4 +1,4 @@
-"""What a real IMU gets wrong beside noise and bias: scale, axes, g-sensitivity, lost samples."""
+"""Systematic errors of a real IMU: scale, misalignment, g-sensitivity, range, lost samples."""
 
 from dataclasses import dataclass, field
 
@@ -41,7 +41,7 @@ class ImuErrors:
     burst_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raises `ValueError` for what no IMU can be."""
+        """Raises `ValueError` for values that no IMU can have."""
         for matrix in (self.gyro_matrix, self.accel_matrix, self.g_sensitivity):
             if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
                 raise ValueError("the IMU's error matrices are finite and 3x3")

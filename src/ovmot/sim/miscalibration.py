@@ -26,7 +26,7 @@ class Miscalibration(Section):
 
 
 def miscalibrated(rig: StereoRig, error: Miscalibration, rng: np.random.Generator) -> StereoRig:
-    """What a calibration file would say that is off by these amounts."""
+    """The rig of a calibration file that is wrong by these amounts."""
 
     def moved(T: FloatArray) -> FloatArray:
         turn = so3.exp(np.radians(error.rotation_deg) * _direction(rng))

@@ -1,4 +1,4 @@
-"""What lens, shutter and exposure control do to pictures, each as a function of its own."""
+"""Effects of lens, shutter and exposure control on images, one function each."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,7 @@ from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
 from ovmot.sim.paths import sines
 
 SUB_EXPOSURES = 5
-"""Moments that a blurred picture is the mean of; odd, so that the stamp is one of them."""
+"""Moments that a blurred image is the mean of; odd, so that the stamp is one of them."""
 _DRIFT_HZ = (0.03, 0.25)
 _GREATEST_SINES = 6.0**0.5  # three sines of amplitude sqrt(2/3)
 _OWN_SHARE = 0.15
@@ -23,7 +23,7 @@ def sub_exposures(timestamp_ns: int, exposure_s: float) -> list[int]:
 
 
 def exposure_gains(timestamp_ns: IntArray, drift: float, rng: np.random.Generator) -> FloatArray:
-    """Factors (N, 2) on the brightness of the left and the right picture.
+    """Factors (N, 2) on the brightness of the left and the right image.
 
     Slow sines, most of them common to both cameras, that stay within 1 ± `drift`.
     """
@@ -34,7 +34,7 @@ def exposure_gains(timestamp_ns: IntArray, drift: float, rng: np.random.Generato
 
 
 def defocused(grey: AnyArray, sigma_px: float) -> AnyArray:
-    """The picture (H, W) behind a lens whose blur is a Gaussian; itself where that is zero."""
+    """The image (H, W) behind a lens whose blur is a Gaussian; itself where that is zero."""
     if sigma_px == 0.0:
         return grey
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT))

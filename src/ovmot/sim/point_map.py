@@ -1,4 +1,4 @@
-"""Points at rest, made along a path: those near a place are found without a look at all others."""
+"""A map of static points made along a path, with a quick search for those near a place."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Stereo pictures of a scene, with depth and object ids as truth, through any lens model."""
+"""Stereo images of a scene, with depth and object ids as truth, through any camera model."""
 
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -28,12 +28,12 @@ _EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i 
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class RenderedImage:
     """One camera's view: grey (H, W) in 0..255 as float32, not yet rounded.
 
     `object_id` (H, W) uint8 is 0 where no mover is seen; `depth` (H, W) float32 is the distance
-    along the camera's z axis in m, infinite for the sky, NaN where the lens has no ray; both
-    belong to the pixel's middle. `surface` (H, W) int32 tells the faces of all bodies apart.
+    along the camera's z axis in m, infinite for the sky, NaN where the camera model has no ray;
+    both belong to the pixel's middle. `surface` (H, W) int32 tells the faces of all bodies apart.
     """
 
     grey: AnyArray
@@ -47,20 +47,20 @@ class RenderedFrame:
     """A stereo pair as a camera would give it, and the truth behind it."""
 
     frame: StereoFrame
-    left: Picture
-    right: Picture
+    left: RenderedImage
+    right: RenderedImage
 
 
 def camera_rays(camera: Camera) -> FloatArray:
-    """Rays (H, W, 3) with z = 1 through the middles of all pixels; NaN where the lens has none."""
+    """Rays (H, W, 3) with z = 1 through the middles of all pixels; NaN where the model has none."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     xy = camera.normalize(np.stack([u, v], axis=-1).astype(np.float64))
     return np.ascontiguousarray(np.concatenate([xy, np.ones((*u.shape, 1))], axis=-1))
 
 
-def render_picture(
+def render_image(
     scene: Scene, rays: FloatArray, T_world_cam: FloatArray, timestamp_ns: int
-) -> Picture:
+) -> RenderedImage:
     """What a camera with these rays (H, W, 3) sees of the scene at one time, without noise."""
     boxes, object_id = scene.placed_boxes(timestamp_ns)
     view, order = scene_view(scene, boxes, T_world_cam)
@@ -70,25 +70,25 @@ def render_picture(
     kernel.render_view(rays, view, grey, surface, depth)
     ids = np.concatenate([[0], np.asarray(object_id, dtype=np.uint8)[order]]).astype(np.uint8)
     seen = np.where(surface >= kernel.FIRST_BOX, (surface - kernel.FIRST_BOX) // 6 + 1, 0)
-    return Picture(np.clip(np.nan_to_num(grey), 0.0, 255.0), ids[seen], depth, surface)
+    return RenderedImage(np.clip(np.nan_to_num(grey), 0.0, 255.0), ids[seen], depth, surface)
 
 
 def render_exposure(
     scene: Scene, rays: FloatArray, path: PoseSpline, T_imu_cam: FloatArray, timestamp_ns: int,
     exposure_s: float,
-) -> Picture:  # fmt: skip
+) -> RenderedImage:  # fmt: skip
     """The mean of sub-exposures around the stamp; all but `grey` is the truth at the stamp."""
     times = sub_exposures(timestamp_ns, exposure_s)
-    pictures = [render_picture(scene, rays, path.pose(t) @ T_imu_cam, t) for t in times]
-    if len(pictures) == 1:
-        return pictures[0]
-    grey = np.mean([picture.grey for picture in pictures], axis=0, dtype=np.float32)
-    return replace(pictures[len(pictures) // 2], grey=np.asarray(grey))
+    images = [render_image(scene, rays, path.pose(t) @ T_imu_cam, t) for t in times]
+    if len(images) == 1:
+        return images[0]
+    grey = np.mean([image.grey for image in images], axis=0, dtype=np.float32)
+    return replace(images[len(images) // 2], grey=np.asarray(grey))
 
 
-def expose(picture: Picture, optics: Optics, gain: float, rng: np.random.Generator) -> Image:
-    """The picture as 8-bit grey (H, W): blurred by the lens, brightened by `gain`, with noise."""
-    grey = np.float32(gain) * defocused(picture.grey, optics.defocus_px)
+def expose(image: RenderedImage, optics: Optics, gain: float, rng: np.random.Generator) -> Image:
+    """The image as 8-bit grey (H, W): blurred by the lens, brightened by `gain`, with noise."""
+    grey = np.float32(gain) * defocused(image.grey, optics.defocus_px)
     noise = optics.noise_grey * rng.standard_normal(grey.shape, dtype=np.float32)
     return np.asarray(np.clip(np.round(grey + noise), 0, 255), dtype=np.uint8)
 
@@ -107,7 +107,7 @@ def render_stereo(
     gains = exposure_gains(timestamp_ns, optics.exposure_drift, rng.spawn(1)[0])
     with ThreadPoolExecutor(max_workers=2) as pool:
 
-        def start(time_ns: int) -> list[Future[Picture]]:
+        def start(time_ns: int) -> list[Future[RenderedImage]]:
             return [
                 pool.submit(render_exposure, scene, r, path, T, time_ns, optics.exposure_s)
                 for r, T in zip(rays, mounts, strict=True)
@@ -119,8 +119,8 @@ def render_stereo(
             left, right = (job.result() for job in ahead)
             ahead = start(times[i + 1]) if i + 1 < len(times) else []
             images = [
-                expose(picture, optics, float(gain), rng)
-                for picture, gain in zip((left, right), gains[i], strict=True)
+                expose(image, optics, float(gain), rng)
+                for image, gain in zip((left, right), gains[i], strict=True)
             ]
             yield RenderedFrame(StereoFrame(time_ns, *images), left, right)
 

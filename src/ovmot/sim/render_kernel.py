@@ -1,6 +1,6 @@
 """The compiled ray caster: one ray a pixel against ground and boxes, four at surfaces' edges.
 
-Compiling takes some seconds. It holds no Python lock. tests/sim/test_kernel.py
+Compiling takes some seconds. It holds no Python lock. tests/sim/test_render_kernel.py
 holds its plain NumPy twin.
 """
 
@@ -18,7 +18,7 @@ SKY, GROUND, FIRST_BOX = 0, 1, 2
 PERSISTENCE = 0.75
 OCTAVE_SHIFT = 0.37
 EDGE_PIXELS = 1.3
-"""Width of a lattice edge in the picture, in pixels."""
+"""Width of a lattice edge in the image, in pixels."""
 SHARPEST = 0.02
 HORIZON = 0.12
 SAMPLES = ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))
@@ -86,7 +86,7 @@ def _ramp(f: float, width: float) -> float:
 
 @_compiled
 def _noise(x: float, y: float, width_x: float, width_y: float, seed: np.uint64) -> float:
-    """Value noise at lattice coordinates, its edges as wide as told (1: bilinear).
+    """Value noise at lattice coordinates, with edges of the given width (1: bilinear).
 
     Cells of no weight are not hashed.
     """
@@ -230,7 +230,7 @@ def _candidates(
     for v in (v0, v1 - 1):
         for u in (u0, u1 - 1):
             x, y = rays[v, u, 0], rays[v, u, 1]
-            if math.isnan(x):  # a tile that the lens sees in part only: every box may be in it
+            if math.isnan(x):  # a tile that the camera sees in part only: every box may be in it
                 x0, x1, y0, y1 = -math.inf, math.inf, -math.inf, math.inf
             x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
     slack_x = _SLACK * (x1 - x0) + _LEAST_SLACK
@@ -288,7 +288,7 @@ def render_view(
 ) -> None:
     """Fill grey (float32), surface (int32) and depth (float32, m along z), each (H, W).
 
-    `rays` (H, W, 3) are camera rays with z = 1, NaN where the lens has none (grey 0, depth NaN).
+    `rays` (H, W, 3) are camera rays with z = 1, NaN where the model has none (grey 0, depth NaN).
     Surface is `SKY`, `GROUND`, or `FIRST_BOX` + 6 box + face; the sky's depth is infinite.
     """
     height, width = rays.shape[:2]

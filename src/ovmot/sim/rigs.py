@@ -18,7 +18,7 @@ _ASPECT_TOLERANCE = 1e-6
 
 
 def street_rig() -> StereoRig:
-    """A 640x280 rig on a car: 0.475 m baseline, 5-term lenses, the right camera turned a little."""
+    """A 640x280 rig on a car: 0.475 m baseline, 5-term distortion, the right camera turned."""
     tilt0 = so3.exp(np.array([0.007, -0.012, 0.005]))
     turn = so3.exp(np.array([-0.0026, 0.0045, 0.0085]))
     left = Camera.make(
@@ -35,7 +35,7 @@ def street_rig() -> StereoRig:
 
 
 def fisheye_rig() -> StereoRig:
-    """A 512x512 rig on a car: 0.3 m baseline, equidistant lenses that see 150 degrees across."""
+    """A 512x512 rig on a car: 0.3 m baseline, equidistant cameras that see 150 degrees across."""
     left = Camera.make(
         (512, 512), (191.5, 191.3), (255.2, 256.1), "equidistant", [0.0035, 0.0007, -0.002, 0.0002]
     )
@@ -57,9 +57,9 @@ def named_rig(name: RigName) -> StereoRig:
 
 
 def resized(rig: StereoRig, size: tuple[int, int]) -> StereoRig:
-    """The same lenses before sensors of other pixels: (width, height) of the same aspect ratio.
+    """The same cameras with sensors of other pixels: (width, height) of the same aspect ratio.
 
-    Integer coordinates are the middles of pixels, so the scale s acts about the picture's corner
+    Integer coordinates are the middles of pixels, so the scale s acts about the image's corner
     at (-0.5, -0.5): fx' = s fx, cx' = s (cx + 0.5) - 0.5. Raises `InputError` for a size of
     another aspect ratio, without pixels, or too large to be rendered.
     """
@@ -71,7 +71,7 @@ def resized(rig: StereoRig, size: tuple[int, int]) -> StereoRig:
         width * cam0.height, height * cam0.width, rtol=_ASPECT_TOLERANCE, atol=0.0
     ):
         raise InputError(
-            f"size {width}x{height}: this rig's pictures are {cam0.width}x{cam0.height};"
+            f"size {width}x{height}: this rig's images are {cam0.width}x{cam0.height};"
             " choose a size of the same aspect ratio"
         )
     return replace(rig, cam0=_resized(rig.cam0, size), cam1=_resized(rig.cam1, size))
@@ -85,7 +85,7 @@ def _resized(camera: Camera, size: tuple[int, int]) -> Camera:
 
 
 def held(rig: StereoRig, R_imu_cam0: FloatArray) -> StereoRig:
-    """The rig's cameras on a small unit: the IMU in the middle between them, turned as told."""
+    """The rig's cameras on a small unit: the IMU in the middle between them, and `R_imu_cam0`."""
     T_cam0_cam1 = se3.inverse(rig.T_imu_cam0) @ rig.T_imu_cam1
     T_imu_cam0 = se3.make(R_imu_cam0, -0.5 * R_imu_cam0 @ T_cam0_cam1[:3, 3])
     return replace(rig, T_imu_cam0=T_imu_cam0, T_imu_cam1=T_imu_cam0 @ T_cam0_cam1)

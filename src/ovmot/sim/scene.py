@@ -57,7 +57,7 @@ class ObjectState:
 
 @dataclass(frozen=True, slots=True)
 class Mover:
-    """A rigid body on a path. `object_id` is 1..255, its value in the object-id picture.
+    """A rigid body on a path. `object_id` is 1..255, its value in the object-id image.
 
     `size` (3,) is the length, width and height of the box around all its `boxes`.
     """

@@ -23,7 +23,7 @@ SCENES: tuple[str, ...] = (
 MAX_DURATION_S = 600.0
 RigName = Literal["street", "fisheye"]
 RIGS: tuple[str, ...] = get_args(RigName)
-_MOST_MOVERS = 255  # an object id is one byte of the truth pictures
+_MOST_MOVERS = 255  # an object id is one byte of the truth images
 Knots = tuple[tuple[float, float], ...]
 
 
@@ -162,7 +162,7 @@ class LightPart(Section):
     defocus_px: float = Field(0.0, ge=0.0, le=10.0)
     """Standard deviation of the lens's Gaussian blur, pixels."""
     exposure_s: float = Field(0.0, ge=0.0, le=0.1)
-    """Exposure time, s, that blurs what moves; 0 is a picture of one moment."""
+    """Exposure time, s, that blurs what moves; 0 is an image of one moment."""
 
 
 class ImuPart(Section):
@@ -182,7 +182,7 @@ class SceneFile(Section):
     rate_hz: float = Field(10.0, ge=1.0, le=100.0)
     """Stereo frames per second."""
     rig: RigName = "street"
-    """Cameras: `street`, 640x280 with radial-tangential lenses; `fisheye`, 512x512, 150 degrees."""
+    """Cameras: `street`, 640x280, radial-tangential; `fisheye`, 512x512, 150 degrees."""
     road: RoadPart = RoadPart()
     drive: DrivePart = DrivePart()
     street: StreetPart = StreetPart()

@@ -23,11 +23,11 @@ class ImuModel:
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """What stands between the scene and the pictures.
+    """What stands between the scene and the images.
 
     `noise_grey` is the standard deviation of white noise, grey levels; `exposure_drift` the
     greatest change of the brightness, as a share; `defocus_px` the standard deviation of the lens's
-    blur; `exposure_s` the time over which a picture gathers light, its stamp in the middle.
+    blur; `exposure_s` the time over which an image gathers light, its stamp in the middle.
     """
 
     noise_grey: float = 2.0

@@ -203,8 +203,8 @@ def intrinsics_jacobian(camera: Camera, p_cam: FloatArray) -> FloatArray:
     """
     z = np.where(p_cam[..., 2:] > 0.0, p_cam[..., 2:], np.nan)
     xy = p_cam[..., :2] / z
-    distorted = camera.lens.distort(xy, camera.distortion)
-    _, by_distortion = camera.lens.distort_jacobian(xy, camera.distortion)
+    distorted = camera.model.distort(xy, camera.distortion)
+    _, by_distortion = camera.model.distort_jacobian(xy, camera.distortion)
     J = np.zeros((*xy.shape, _FOCAL_AND_CENTER + len(camera.distortion)))
     J[..., 0, 0], J[..., 1, 1] = distorted[..., 0], distorted[..., 1]
     J[..., 0, 2] = J[..., 1, 3] = 1.0

@@ -34,7 +34,7 @@ def test_euroc_without_lists_of_images(euroc: Path) -> None:
 
 
 def test_euroc_imu_off_the_body(euroc: Path, edit: Edit) -> None:
-    """The rig is told in the IMU's frame, also where the body is another one."""
+    """The rig is found in the IMU's frame, also where the body is another one."""
     edit(euroc / "mav0" / "imu0" / "sensor.yaml", "[1,0,0,0, ", "[1,0,0,0.02, ")
     rig = open_sequence(euroc).rig
     np.testing.assert_allclose(rig.T_imu_cam0[:3, 3], [0.08, 0.05, 0.0], atol=1e-12)

@@ -29,15 +29,15 @@ DISTORTION = {
 SEED = 5
 
 
-def with_lens(camera: Camera, lens: str) -> Camera:
-    return replace(camera, lens=CAMERA_MODELS[lens], distortion=np.array(DISTORTION[lens]))
+def with_model(camera: Camera, model: str) -> Camera:
+    return replace(camera, model=CAMERA_MODELS[model], distortion=np.array(DISTORTION[model]))
 
 
 @pytest.fixture(scope="module", params=sorted(DISTORTION))
 def simulation(request: pytest.FixtureRequest, small_simulation: Simulation) -> Simulation:
-    """The small street through each lens, with a bad IMU whose clock is 23 ms ahead."""
+    """The small street through each model, with a bad IMU whose clock is 23 ms ahead."""
     rig = small_simulation.rig
-    cam0, cam1 = (with_lens(camera, request.param) for camera in rig.cameras)
+    cam0, cam1 = (with_model(camera, request.param) for camera in rig.cameras)
     errors = ImuErrors.random(np.random.default_rng(1), dropped_share=0.15)
     return replace(
         small_simulation,
@@ -64,7 +64,7 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     assert_same_rig(sequence.rig, simulation.rig)
     assert sequence.imu_noise == simulation.imu.noise
     np.testing.assert_array_equal(sequence.frame_ns, simulation.camera_ns)
-    picture_rng, imu_rng = generators(SEED)
+    image_rng, imu_rng = generators(SEED)
     imu = imu_samples(simulation, imu_rng).data
     assert sequence.imu is not None
     np.testing.assert_array_equal(sequence.imu.timestamp_ns, imu.timestamp_ns)
@@ -73,7 +73,7 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
     assert np.diff(imu.timestamp_ns).max() >= 10_000_000  # samples are missing from the file
     frames = render_stereo(
         simulation.scene, simulation.rig, simulation.path, simulation.camera_ns,
-        simulation.optics, picture_rng,
+        simulation.optics, image_rng,
     )  # fmt: skip
     paths = zip(sequence.left_paths, sequence.right_paths, strict=True)
     for frame, (left, right) in zip(frames, paths, strict=True):

@@ -51,7 +51,7 @@ def test_kaist_right_camera_follows_from_rectification(kaist: Path, edit: Edit) 
     [
         ("left.yaml", ("image_width: 32", "image_width: 0"), "image_width"),
         ("left.yaml", ("data: [ 20., 0.5", "data: [ 0., 0.5"), "camera_matrix"),
-        ("left.yaml", ("plumb_bob", "barrel"), "unknown lens model"),
+        ("left.yaml", ("plumb_bob", "barrel"), "unknown camera model"),
         ("right.yaml", ("rectification_matrix", "rectification"), "rectification_matrix.*missing"),
         ("right.yaml", ("0., 0., 1. ]\nproj", "0., 0., 3. ]\nproj"), "not a rotation"),
         ("right.yaml", ("-9.6", "0."), "same place"),

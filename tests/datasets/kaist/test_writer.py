@@ -56,7 +56,7 @@ def test_the_reader_finds_the_simulated_rig_images_and_imu(
             simulation.optics, rng,
         )
     )  # fmt: skip
-    # demosaicing averages neighbours: it blurs the noise, and keeps the picture
+    # demosaicing averages neighbours: it blurs the noise, and keeps the image
     assert np.abs(first.astype(float) - frame.left.grey).mean() < 4.0
     raw = cv2.imread(str(sequence.left_paths[0]), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(raw, frame.frame.left)

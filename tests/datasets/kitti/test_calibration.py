@@ -21,7 +21,7 @@ def test_kitti_tracking_rig(kitti_tracking: Path) -> None:
     np.testing.assert_allclose(
         se3.inverse(rig.T_imu_cam0)[:3, 3], [-0.3 + 0.06, 0.7, -1.1], atol=1e-12
     )
-    assert (rig.cam0.lens.name, rig.cam0.width, rig.cam0.height) == ("none", 32, 24)
+    assert (rig.cam0.model.name, rig.cam0.width, rig.cam0.height) == ("none", 32, 24)
 
 
 def test_kitti_odometry_puts_the_imu_at_the_left_camera(kitti_odometry: Path) -> None:

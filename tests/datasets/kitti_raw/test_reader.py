@@ -31,7 +31,7 @@ def test_sync_has_rectified_cameras_and_slow_oxts(kitti_raw: Path, inside: bool)
     np.testing.assert_array_equal(sequence.imu.accel[2], [0.1, 0.2, 9.8])
     np.testing.assert_array_equal(sequence.imu.gyro[2], [0.01, 0.02, 0.002])
     rig = sequence.rig
-    assert rig.cam0.lens.name == "none"
+    assert rig.cam0.model.name == "none"
     assert rig.cam0.intrinsics.tolist() == [18.0, 18.0, 16.0, 12.0, 0.0]
     np.testing.assert_allclose(rig.T_cam1_cam0[:3, 3], [-0.5, 0.0, 0.0], atol=1e-12)
     # IMU -> velodyne (-0.8, 0.3, -0.8) -> camera axes: right 0 - 0.3, down 0.8 - 0.1, ahead -1.1
@@ -43,7 +43,7 @@ def test_extract_has_lenses_and_fast_oxts(kitti_raw: Path) -> None:
     assert sequence.imu is not None
     assert (len(sequence), len(sequence.imu)) == (4, 31)
     rig = sequence.rig
-    assert rig.cam0.lens.name == "radtan"
+    assert rig.cam0.model.name == "radtan"
     assert rig.cam0.intrinsics.tolist() == [20.0, 21.0, 16.0, 12.0, 0.0]
     assert rig.cam1.distortion.tolist() == [-0.3, 0.1, 0.001, -0.002, 0.01]
     np.testing.assert_allclose(rig.T_cam1_cam0[:3, 3], [-0.5, 0.0, 0.0], atol=1e-12)
@@ -82,16 +82,6 @@ def test_files_of_a_drive_that_was_copied_alone(kitti_raw: Path) -> None:
     assert len(open_sequence(kitti_raw / SYNC)) == 4
     with pytest.raises(CalibrationError, match=r"2011_09_26/calib_cam_to_cam\.txt: no such"):
         open_sequence(kitti_raw / EXTRACT)
-
-
-def test_the_size_tells_the_form_where_the_name_does_not(kitti_raw: Path, edit: Edit) -> None:
-    drive = (kitti_raw / SYNC).rename(kitti_raw / "2011_09_26_drive_0001")
-    assert open_sequence(drive).rig.cam0.lens.name == "none"
-    edit(kitti_raw / "calib_cam_to_cam.txt", "S_rect_00: 32", "S_rect_00: 30")
-    assert open_sequence(drive).rig.cam0.lens.name == "radtan"
-    edit(kitti_raw / "calib_cam_to_cam.txt", "S_01: 32", "S_01: 40")
-    with pytest.raises(CalibrationError, match="'S_01': 40x24, but the images are 32x24"):
-        open_sequence(drive)
 
 
 def test_packets_out_of_order_are_dropped_and_counted(kitti_raw: Path) -> None:
@@ -138,21 +128,3 @@ def test_broken_files(
     with pytest.raises(DatasetError, match=message) as caught:
         open_sequence(kitti_raw / SYNC)
     assert str(kitti_raw / SYNC / name) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new", "message"),
-    [
-        ("calib_imu_to_velo.txt", "R: 1", "R: 2", "'R': not a rotation"),
-        ("calib_velo_to_cam.txt", "T: 0 ", "T: ", "'T': expected 3 numbers"),
-        ("calib_cam_to_cam.txt", "P_rect_01", "P_01", "'P_rect_01': this key is missing"),
-        ("calib_cam_to_cam.txt", "S_rect_00: 32", "S_rect_00: 31", "31x24, but the images"),
-    ],
-)
-def test_broken_calibration(
-    kitti_raw: Path, edit: Edit, name: str, old: str, new: str, message: str
-) -> None:
-    edit(kitti_raw / name, old, new)
-    with pytest.raises(CalibrationError, match=message) as caught:
-        open_sequence(kitti_raw / SYNC)
-    assert str(kitti_raw / name) in str(caught.value)

@@ -17,5 +17,5 @@ from ovmot.sim.simulation import Simulation
 
 def test_kitti_files_hold_no_fisheye(small_simulation: Simulation, tmp_path: Path) -> None:
     simulation = replace(small_simulation, rig=with_fisheye(small_simulation.rig))
-    with pytest.raises(InputError, match="lens 'equidistant'; use radtan"):
+    with pytest.raises(InputError, match="camera model 'equidistant'; use radtan"):
         next(WRITERS["kitti_extract"](tmp_path / "new", record(simulation, SEED)))

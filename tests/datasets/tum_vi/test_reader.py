@@ -15,7 +15,7 @@ Edit = Callable[[Path, str, str], None]
 def test_tum_vi(tum_vi: Path) -> None:
     sequence = open_sequence(tum_vi)
     assert (sequence.kind, sequence.name, len(sequence)) == ("tum_vi", "MH_tiny", 6)
-    assert sequence.rig.cam0.lens.name == "equidistant"
+    assert sequence.rig.cam0.model.name == "equidistant"
     assert sequence.imu_noise is not None
     assert sequence.imu_noise.accel == 0.0014
     (tum_vi / "dso" / "imu_config.yaml").unlink()

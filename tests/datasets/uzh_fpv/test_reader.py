@@ -39,7 +39,7 @@ def test_uzh_fpv_imu_without_numbers(uzh_fpv: Path) -> None:
         ("imu.txt", "0.3 0 0.5 9.8\n", "0.3\n", "5 columns; 7 or 8 are known"),
         ("left_images.txt", "2 1540821844.20 ", "2 ", "row 4: 2 columns where 3"),
         ("left_images.txt", "1540821844.20", "soon", "row 4: 'soon' is not a time in seconds"),
-        ("right_images.txt", "img/", "pictures/", "none of its 6 images is there"),
+        ("right_images.txt", "img/", "images/", "none of its 6 images is there"),
     ],
 )
 def test_broken_uzh_fpv_files(

@@ -22,12 +22,12 @@ def test_segmentation_of_viode_becomes_masks(small_simulation: Simulation, tmp_p
     simulation = of_form("viode", small_simulation)
     list(WRITERS["viode"](tmp_path, record(simulation, SEED)))
     sequence = open_sequence(tmp_path)
-    assert sequence.segmentation is not None
+    assert sequence.instances is not None
     frame = rendered("viode", simulation)[1]
     seen = np.unique(frame.left.object_id)
     ids = tuple(int(i) for i in seen[seen > 0][:2])
     assert len(ids) == 2
-    masks = InstanceMasks.make(sequence.segmentation, ids, sequence.rig)
+    masks = InstanceMasks.make(sequence.instances, ids, sequence.rig)
     left, right = masks.of(frame.frame.timestamp_ns)
     assert left is not None and right is not None
     np.testing.assert_array_equal(left > 0, np.isin(frame.left.object_id, ids))
@@ -36,6 +36,6 @@ def test_segmentation_of_viode_becomes_masks(small_simulation: Simulation, tmp_p
     (tmp_path / "segmentation/rgb_ids.txt").unlink()
     bare = open_sequence(tmp_path)
     assert bare.counts["no_segmentation_colours"] == 1
-    assert bare.segmentation is not None
+    assert bare.instances is not None
     with pytest.raises(InputError, match=r"segmentation/\d+\.png: no colour is known for id"):
-        replace(masks, segmentation=bare.segmentation).of(frame.frame.timestamp_ns)
+        replace(masks, instances=bare.instances).of(frame.frame.timestamp_ns)

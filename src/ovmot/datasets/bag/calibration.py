@@ -70,11 +70,11 @@ def _node(path: Path, topic: str, info: Any, rectified: bool) -> CalibrationNode
     P = P.reshape(3, 4)
     if rectified:
         D, K, R = np.empty(0), P[:, :3], np.eye(3)
-    lens = info.distortion_model if np.any(D) else "none"
+    model = info.distortion_model if np.any(D) else "none"
     data = {
         "image_width": info.width,
         "image_height": info.height,
-        "distortion_model": lens,
+        "distortion_model": model,
         "distortion_coefficients": D.tolist(),
         "camera_matrix": K.reshape(3, 3).tolist(),
         "rectification_matrix": R.reshape(3, 3).tolist(),

@@ -1,7 +1,7 @@
-"""Writes a simulation as a EuRoC/ASL folder (`mav0`), with its truth beside it.
+"""Writes a sequence as a EuRoC/ASL folder (`mav0`), with its truth beside it.
 
 Layout: M. Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016. `mav0` holds the true
-states in `state_groundtruth_estimate0`, `truth/` beside it what `sequence_files` lists.
+states in `state_groundtruth_estimate0`, `truth/` beside it the files of `ovmot.datasets.truth`.
 """
 
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 
 MODEL_NAMES = {"radtan": "radial-tangential", "equidistant": "equidistant", "none": "none"}
-"""Our names of the lens models, and those of `sensor.yaml`."""
+"""Our names of the camera models, and those of `sensor.yaml`."""
 
 _LEFT, _RIGHT, _IMU = "mav0/cam0", "mav0/cam1", "mav0/imu0"
 _STATES = "mav0/state_groundtruth_estimate0"
@@ -43,13 +43,13 @@ _STATES_HEADER = (
 
 
 def write_asl(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence; yields each frame's time in ns when it is on disk.
+    """Write the sequence; yields each frame's time in ns when it is on disk.
 
-    `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
+    The same sequence gives the same bytes.
     `truth/objects.json` comes last, so an interrupted sequence has none. The format has no place
     for a time offset between camera and IMU: it is in the stamps, and in `truth/imu_errors.yaml`.
     Raises `InputError` where the folder is not empty or not writable, or where a camera has what
-    `sensor.yaml` cannot hold: an unknown lens, or skew.
+    `sensor.yaml` cannot hold: an unknown camera model, or skew.
     """
     for camera in sequence.rig.cameras:
         _check_camera(folder, camera)
@@ -58,9 +58,9 @@ def write_asl(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
 
 
 def _check_camera(folder: Path, camera: Camera) -> None:
-    name = camera.lens.name
+    name = camera.model.name
     if name not in MODEL_NAMES:
-        problem = f"EuRoC calibration cannot hold a lens '{name}'"
+        problem = f"EuRoC calibration cannot hold the camera model '{name}'"
         raise InputError.at(folder, problem, f"use {', '.join(MODEL_NAMES)}")
     if camera.intrinsics[4] != 0.0:
         problem = f"EuRoC calibration cannot hold a skew of {camera.intrinsics[4]:g}"
@@ -96,7 +96,7 @@ def _write_camera(
         "resolution": [camera.width, camera.height],
         "camera_model": "pinhole",
         "intrinsics": camera.intrinsics[:4].tolist(),
-        "distortion_model": MODEL_NAMES[camera.lens.name],
+        "distortion_model": MODEL_NAMES[camera.model.name],
         "distortion_coefficients": camera.distortion.tolist(),
     }
     _write_yaml(folder / "sensor.yaml", values)

@@ -1,7 +1,7 @@
-"""Writes a simulation as a 4Seasons recording with its calibration in it, and its truth beside it.
+"""Writes a sequence as a 4Seasons recording with its calibration in it, and its truth beside it.
 
 Layout: P. Wenzel et al., "4Seasons: A cross-season dataset for multi-weather SLAM in autonomous
-driving", GCPR 2020. Pictures are undistorted and rectified, whatever the rig's lenses are.
+driving", GCPR 2020. Images are undistorted and rectified, whatever the rig's camera models are.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ _LEFT, _RIGHT = "undistorted_images/cam0", "undistorted_images/cam1"
 
 
 def write_four_seasons(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the recording, as `write_asl`.
+    """Write the recording, as `write_asl`.
 
     Raises `InputError` where the folder is not empty or not writable.
     """

@@ -1,7 +1,7 @@
-"""Writes a simulation as a KAIST Complex Urban folder, with its truth beside it.
+"""Writes a sequence as a KAIST Complex Urban folder, with its truth beside it.
 
 Layout: J. Jeong et al., "Complex Urban Dataset with Multi-level Sensors", IJRR 2019. `truth/` holds
-`poses.csv` (ns, IMU position, quaternion w x y z) and what `sequence_files` lists.
+`poses.csv` (ns, IMU position, quaternion w x y z) and the files of `ovmot.datasets.truth`.
 """
 
 from collections.abc import Iterator
@@ -41,17 +41,17 @@ class _RectifiedPair:
 
 
 def write_kaist(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence; yields each frame's time in ns when it is on disk.
+    """Write the sequence; yields each frame's time in ns when it is on disk.
 
-    `seed` starts the noise of images and IMU: the same simulation and seed give the same bytes.
+    The same sequence gives the same bytes.
     `truth/objects.json` comes last, so an interrupted sequence has none. The format has no place
     for a time offset between camera and IMU: it is in the stamps, and in `truth/imu_errors.yaml`.
-    Raises `InputError` where the folder is not empty or not writable, or where the rig's lenses
-    are not the radial-tangential ones that KAIST files hold.
+    Raises `InputError` where the folder is not empty or not writable, or where the rig's camera
+    model is not radial-tangential, the only one that KAIST files hold.
     """
     for camera in sequence.rig.cameras:
-        if camera.lens.name != "radtan":
-            problem = f"KAIST calibration cannot hold a lens '{camera.lens.name}'"
+        if camera.model.name != "radtan":
+            problem = f"KAIST calibration cannot hold the camera model '{camera.model.name}'"
             raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
     with writable(folder):
         yield from _write_sequence(folder, sequence)
@@ -64,7 +64,7 @@ def _write_sequence(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     _write_poses(folder, sequence)
     stamps = "".join(f"{t}\n" for t in sequence.camera_ns)
     (folder / "sensor_data/stereo_stamp.csv").write_text(stamps)
-    # a grey scene: the raw Bayer mosaic of every colour pattern is the grey picture itself
+    # a grey scene: the raw Bayer mosaic of every colour pattern is the grey image itself
     save = by_stamp(folder / _LEFT, folder / _RIGHT)
     yield from write_frames(folder, sequence, sequence.rig, save)
 

@@ -1,8 +1,8 @@
-"""Writes a simulation as a KITTI raw drive, `sync` or `extract`, with its truth beside it.
+"""Writes a sequence as a KITTI raw drive, `sync` or `extract`, with its truth beside it.
 
 Layout: A. Geiger et al., "Vision meets robotics: The KITTI dataset", IJRR 2013. The two differ as
-the data set's do: `extract` has the rig's own pictures and all IMU samples; `sync` rectified
-pictures, and of the samples the nearest one to each of them.
+the data set's do: `extract` has the rig's own images and all IMU samples; `sync` rectified
+images, and of the samples the nearest one to each of them.
 """
 
 from collections.abc import Iterator
@@ -32,10 +32,10 @@ _FIELDS, _ACCEL, _GYRO = 30, slice(11, 14), slice(17, 20)
 
 
 def write_kitti_sync(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write a `_sync` drive into the folder of its date, as `write_asl`.
+    """Write a `_sync` drive into the folder of its date, as `write_asl`.
 
-    The lenses are `radtan` ones, or `InputError` is raised; so it is where the folder is not empty
-    or not writable. The format has no place for a time offset.
+    Raises `InputError` for another camera model than `radtan`, and where the folder is not empty or
+    not writable. The format has no place for a time offset.
     """
     return _checked(folder, sequence, "sync")
 
@@ -47,8 +47,8 @@ def write_kitti_extract(folder: Path, sequence: SequenceToWrite) -> Iterator[int
 
 def _checked(folder: Path, sequence: SequenceToWrite, form: str) -> Iterator[int]:
     for camera in sequence.rig.cameras:
-        if camera.lens.name != "radtan":
-            problem = f"KITTI calibration cannot hold a lens '{camera.lens.name}'"
+        if camera.model.name != "radtan":
+            problem = f"KITTI calibration cannot hold the camera model '{camera.model.name}'"
             raise InputError.at(folder, problem, "use radtan, or another format (asl, tum_vi)")
     with writable(folder):
         yield from _write(folder, sequence, form)

@@ -1,8 +1,8 @@
 """TUM-VI folders: fisheye stereo in the ASL layout (`mav0`) or in that of DSO (`dso`).
 
 D. Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS 2018. The
-calibration is `dso/camchain.yaml` (Kalibr, equidistant lenses) with `dso/imu_config.yaml`. Images
-are PNGs of 8 or 16 bits; those of 16 are scaled to 8.
+calibration is `dso/camchain.yaml` (Kalibr, equidistant) with `dso/imu_config.yaml`. Images are PNGs
+of 8 or 16 bits; those of 16 are scaled to 8.
 """
 
 from pathlib import Path

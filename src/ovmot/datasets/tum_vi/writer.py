@@ -1,7 +1,7 @@
-"""Writes a simulation as a TUM-VI folder (`mav0` and `dso`), with its truth beside it.
+"""Writes a sequence as a TUM-VI folder (`mav0` and `dso`), with its truth beside it.
 
 Layout: D. Schubert et al., "The TUM VI benchmark for evaluating visual-inertial odometry", IROS
-2018. Pictures are PNGs of 16 bits. Lenses are the rig's own; the data set's are equidistant.
+2018. Images are PNGs of 16 bits. Camera models are the rig's own; the data set's are equidistant.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ _CAMERAS = ("cam0", "cam1")
 
 
 def write_tum_vi(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence, as `write_asl`; the time offset is in `camchain.yaml`.
+    """Write the sequence, as `write_asl`; the time offset is in `camchain.yaml`.
 
     Raises `InputError` where the folder is not empty or not writable, or for cameras with skew.
     """
@@ -57,8 +57,8 @@ def _write(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     write_true_poses(folder, sequence)
 
     def save(frame: FrameToWrite) -> None:
-        for camera, picture in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
+        for camera, image in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
             path = mav / camera / "data" / f"{frame.frame.timestamp_ns}.png"
-            write_png(path, picture.astype(np.uint16) * 257)  # the full range of 16 bits
+            write_png(path, image.astype(np.uint16) * 257)  # the full range of 16 bits
 
     yield from write_frames(folder, sequence, sequence.rig, save)

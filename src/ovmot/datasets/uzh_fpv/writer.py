@@ -1,4 +1,4 @@
-"""Writes a simulation as a UZH-FPV folder with its calibration in it, and its truth beside it.
+"""Writes a sequence as a UZH-FPV folder with its calibration in it, and its truth beside it.
 
 Layout: J. Delmerico et al., "Are we ready for autonomous drone racing? The UZH-FPV drone racing
 dataset", ICRA 2019.
@@ -26,7 +26,7 @@ _CALIBRATION = "simulated_calib_snapdragon"
 
 
 def write_uzh_fpv(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence, as `write_asl`; the time offset is in the Kalibr chain.
+    """Write the sequence, as `write_asl`; the time offset is in the Kalibr chain.
 
     Raises `InputError` where the folder is not empty or not writable, or for cameras with skew.
     """

@@ -35,10 +35,10 @@ def _camera(node: CalibrationNode) -> Camera:
     if model != "PINHOLE":
         raise node.fail("model_type", f"'{model}' is not known", "calibrate with 'PINHOLE'")
     size = int(node.number("image_width")), int(node.number("image_height"))
-    lens = node.child("distortion_parameters")
+    distortion = node.child("distortion_parameters")
     projection = node.child("projection_parameters")
     fx, fy, cx, cy = (projection.number(key) for key in ("fx", "fy", "cx", "cy"))
-    coefficients = np.array([lens.number(key) for key in _DISTORTION])
+    coefficients = np.array([distortion.number(key) for key in _DISTORTION])
     try:
         return Camera.make(size, (fx, fy), (cx, cy), "radtan", coefficients)
     except CalibrationError as error:

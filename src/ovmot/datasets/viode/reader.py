@@ -1,4 +1,4 @@
-"""VIODE folders: an ASL folder with segmentation pictures, unpacked from the data set's bags.
+"""VIODE folders: an ASL folder with segmentation images, unpacked from the data set's bags.
 
 K. Minoda et al., "VIODE: A simulated dataset to address the challenges of visual-inertial odometry
 in dynamic environments", RA-L 2021. The bags are accepted as such a folder:
@@ -30,7 +30,7 @@ from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.viode.calibration import read_vins
 from ovmot.errors import InputError
 
-_PICTURES = "segmentation"
+_SEGMENTATION = "segmentation"
 _CALIBRATION = ("calibration_files/calibration.yaml", "calibration.yaml")
 _COLOURS = ("segmentation/rgb_ids.txt", "rgb_ids.txt", "calibration_files/rgb_ids.txt")
 
@@ -42,7 +42,7 @@ class ViodeReader:
 
     def recognise(self, root: Path) -> bool:
         mav = mav_folder(root)
-        return mav is not None and (mav / "cam0" / _PICTURES).is_dir()
+        return mav is not None and (mav / "cam0" / _SEGMENTATION).is_dir()
 
     def read(
         self,
@@ -58,7 +58,7 @@ class ViodeReader:
         refuse_choice(root, sequence)
         findings = Findings()
         folder = sequence_folder(mav)
-        pictures = mav / "cam0" / _PICTURES, mav / "cam1" / _PICTURES
+        images = mav / "cam0" / _SEGMENTATION, mav / "cam1" / _SEGMENTATION
         return assemble(
             kind="viode",
             name=folder.name,
@@ -68,7 +68,7 @@ class ViodeReader:
             calibration=calibration or _calibration(mav, folder, findings),
             decode=read_grey,
             findings=findings,
-            segmentation=find_instance_images(pictures, _near(folder, _COLOURS), findings),
+            instances=find_instance_images(images, _near(folder, _COLOURS), findings),
         )
 
 

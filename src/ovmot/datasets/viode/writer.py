@@ -1,7 +1,8 @@
-"""Writes a simulation as a VIODE folder: ASL with segmentation pictures, its truth beside it.
+"""Writes a sequence as a VIODE folder: ASL with segmentation images, its truth beside it.
 
-Layout: `ovmot.datasets.viode.reader`. Lenses are perfect, as the data set's, whatever the rig's
-are. The segmentation shows 0 for the scene and each mover's id, in the colours of `rgb_ids.txt`.
+Layout: `ovmot.datasets.viode.reader`. Images have no distortion, as the data set's, whatever the
+rig's camera models are. The segmentation shows 0 for the scene and each mover's id, in the colours
+of `rgb_ids.txt`.
 """
 
 from collections.abc import Iterator
@@ -35,7 +36,7 @@ def colour_table() -> Image:
 
 
 def write_viode(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
-    """Render and write the sequence, as `write_asl`; the time offset is `td` of the calibration.
+    """Write the sequence, as `write_asl`; the time offset is `td` of the calibration.
 
     Raises `InputError` where the folder is not empty or not writable.
     """

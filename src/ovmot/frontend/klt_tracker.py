@@ -1,0 +1,174 @@
+"""The KLT tracker of one camera: corners tracked from image to image."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ovmot.frontend.corners import fine_cell_px, new_corners
+from ovmot.frontend.epipolar import two_view_inliers
+from ovmot.frontend.optical_flow import match_templates, recover_lost, track_points
+from ovmot.frontend.patches import cut_patches, no_patches, refine_tracked
+from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
+from ovmot.frontend.preprocessing import Pyramid, View
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.settings import TrackerSettings
+
+_NEW = 2
+"""Track length below which nothing is known of a point's own motion: the flow of two intervals
+tells a motion from a mismatch."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedPoints:
+    """N features in the present image of a camera, the tracked ones first, in their old order.
+
+    `uv` pixels and `xy` normalized coordinates (N, 2); `track_length` (N,): images through which
+    the feature has been tracked, 0 for a new one; `depth` (N,) predicted in metres or NaN;
+    `extra_flow` (N, 2): image motion in pixels beyond that of a static point; `inlier` (N,) of the
+    two-view test.
+    """
+
+    feature_id: IntArray
+    uv: FloatArray
+    xy: FloatArray
+    track_length: IntArray
+    depth: FloatArray
+    extra_flow: FloatArray
+    inlier: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.feature_id)
+
+
+class FeatureIds:
+    """Gives out ids, none of them twice."""
+
+    def __init__(self) -> None:
+        self._next = 0
+
+    def take(self, count: int) -> IntArray:
+        """The next ids (count,)."""
+        self._next += count
+        return np.arange(self._next - count, self._next, dtype=np.int64)
+
+
+class KltTracker:
+    """Tracks corners through one camera's images; remembers the last image and its points."""
+
+    def __init__(self, settings: TrackerSettings, workers: Executor, ids: FeatureIds) -> None:
+        self._settings = settings
+        self._workers = workers
+        self._ids = ids
+        self._pyramid: Pyramid | None = None
+        self.points = no_points()
+        self.patches = no_patches()
+
+    def step(
+        self,
+        view: View,
+        p_before: FloatArray,
+        p_predicted: FloatArray,
+        T_now_before: FloatArray,
+        focus: Image | None,
+    ) -> TrackedPoints:
+        """The points of this view: those of the last one that are tracked, and new corners.
+
+        `p_before` (N, 3), metres: the last points in the camera's frame of then, NaN where
+        unknown, and `p_predicted` where in that frame they are now, if they move on their own.
+        `T_now_before` (4, 4): predicted motion of the camera since. `focus` (height, width): not
+        zero where more corners are wanted.
+        """
+        tracked = self._track(view, p_before, p_predicted, T_now_before)
+        self.points = self._with_corners(view, tracked, focus)
+        new = cut_patches(view.smooth, self.points.uv[len(tracked) :])
+        self.patches = self.patches.joined(new)
+        self._pyramid = view.pyramid
+        return self.points
+
+    def _track(
+        self, view: View, p_before: FloatArray, p_predicted: FloatArray, T_now_before: FloatArray
+    ) -> TrackedPoints:
+        """The last image's points in this one, without those that are lost."""
+        last, camera = self.points, view.camera
+        cell_px = fine_cell_px(view.image.shape, self._settings)
+        if self._pyramid is None:
+            return last
+        # predict: by the camera's motion, the point's own, or its flow beyond that of the last time
+        static_uv, _ = predict_pixels(last.xy, p_before, T_now_before, camera)
+        start, depth = predict_pixels(last.xy, p_predicted, T_now_before, camera)
+        moves = np.isfinite(p_predicted[:, 0]) & (p_predicted != p_before).any(axis=1)
+        start = np.where(moves[:, None], start, static_uv + last.extra_flow)
+        # optical flow from there, and from other places for what it has lost
+        images = self._pyramid, view.pyramid, last.uv
+        flow = track_points(*images, start, self._settings, self._workers)
+        # a motion of less than half a window is found from the static position
+        half_px = 0.5 * self._settings.klt_window_px
+        nearby = flow_nearby(last.uv, static_uv, flow.uv, flow.found, half_px)
+        # not again where the first search began
+        elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
+        unknown = ~flow.found & ~moves & np.isfinite(p_before[:, 0])
+        searched = self._search(view, static_uv, unknown, 2.0 * cell_px)
+        starts = np.stack([nearby, elsewhere, searched])
+        flow = recover_lost(*images, flow, starts, static_uv, self._settings, self._workers)
+        # alignment with the first patch
+        rows = np.flatnonzero(flow.found & view.contains(flow.uv))
+        patches = self.patches.rows(rows)
+        uv, patches = refine_tracked(patches, view.smooth, flow.uv[rows], self._workers)
+        xy = camera.normalize(uv)
+        ok = view.contains(uv) & np.isfinite(xy[:, 0])
+        rows, uv, xy, self.patches = rows[ok], uv[ok], xy[ok], patches.rows(ok)
+        # two-view test
+        threshold = self._settings.two_view_threshold_px / camera.fx
+        inlier = two_view_inliers(last.xy[rows], xy, threshold)
+        return TrackedPoints(
+            feature_id=last.feature_id[rows],
+            uv=uv,
+            xy=xy,
+            track_length=last.track_length[rows] + 1,
+            depth=depth[rows],
+            extra_flow=unexplained_flow(uv, static_uv[rows], inlier, 4.0 * cell_px),
+            inlier=inlier,
+        )
+
+    def _search(
+        self, view: View, static_uv: FloatArray, lost: BoolArray, reach_px: float
+    ) -> FloatArray:
+        """Where new ones of the `lost` points (N,) correlate best (N, 2), NaN for others.
+
+        They may be of a body that has just come into view. A reach of two fine cells is that of
+        10 m/s at 10 m and 10 Hz in a view of 76 degrees.
+        """
+        last = self.points
+        new = lost & (last.track_length < _NEW)
+        rows = np.flatnonzero(new & view.contains(static_uv))
+        out = np.full(static_uv.shape, np.nan)
+        if self._pyramid is not None and len(rows):
+            out[rows] = match_templates(
+                self._pyramid, view.pyramid, last.uv[rows], static_uv[rows], reach_px
+            )
+        return out
+
+    def _with_corners(
+        self, view: View, tracked: TrackedPoints, focus: Image | None
+    ) -> TrackedPoints:
+        """The tracked points and as many new corners as there is room for."""
+        uv = new_corners(view.image, view.mask, tracked.uv, focus, self._settings)
+        xy = view.camera.normalize(uv)
+        uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
+        n = len(uv)
+        return TrackedPoints(
+            feature_id=np.concatenate([tracked.feature_id, self._ids.take(n)]),
+            uv=np.concatenate([tracked.uv, uv]),
+            xy=np.concatenate([tracked.xy, xy]),
+            track_length=np.concatenate([tracked.track_length, np.zeros(n, dtype=np.int64)]),
+            depth=np.concatenate([tracked.depth, np.full(n, np.nan)]),
+            extra_flow=np.concatenate([tracked.extra_flow, np.zeros((n, 2))]),
+            inlier=np.concatenate([tracked.inlier, np.ones(n, dtype=np.bool_)]),
+        )
+
+
+def no_points() -> TrackedPoints:
+    """Those before the first image."""
+    two, ints = np.empty((0, 2)), np.empty(0, dtype=np.int64)
+    return TrackedPoints(ints, two, two, ints, np.empty(0), two, np.empty(0, dtype=np.bool_))

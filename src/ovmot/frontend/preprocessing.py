@@ -1,0 +1,155 @@
+"""Images made ready for tracking: contrast correction, pyramid, smoothing."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.errors import OvmotError
+from ovmot.frontend.klt_kernel import BACK_LEVELS, margin_of
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.settings import TrackerSettings
+from ovmot.types import FeatureFrame, StereoFrame
+
+_MAX_GAIN = 4.0
+"""Greatest gain of contrast, so that night stays night; CLAHE's clip limit is the same bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pyramid:
+    """An image from fine to coarse, each level (height, width) float32 and padded by
+    `klt_kernel.margin_of(window)`, for windows of side `window` pixels."""
+
+    levels: tuple[npt.NDArray[np.float32], ...]
+    window: int
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One camera's image (height, width) with corrected contrast, and what is derived from it.
+
+    `pyramid` is for optical flow, `smooth` (height, width) for the alignment of patches; `mask`
+    (height, width) is not zero where nothing is taken from; `camera`: the calibration of now.
+    """
+
+    image: Image
+    pyramid: Pyramid
+    smooth: npt.NDArray[np.float32]
+    mask: Image | None
+    camera: Camera
+
+    def contains(self, uv: FloatArray) -> BoolArray:
+        """Around which pixels (N, 2) the window of optical flow lies in the image, and which of
+        them are not masked; NaN is not."""
+        return self.camera.inside(uv, self.pyramid.window // 2) & ~inside_mask(uv, self.mask)
+
+
+def preprocess(
+    frame: StereoFrame | FeatureFrame,
+    rig: StereoRig,
+    settings: TrackerSettings,
+    workers: Executor,
+) -> tuple[View, View]:
+    """Left and right view of a frame. Raises `OvmotError` for a frame without images."""
+    if isinstance(frame, FeatureFrame):
+        raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
+
+    def view_of(image: Image, mask: Image | None, camera: Camera) -> View:
+        even = EQUALIZERS[settings.equalization](image)
+        return View(even, build_pyramid(even, settings), smoothed(even), mask, camera)
+
+    right = workers.submit(view_of, frame.right, frame.right_mask, rig.cam1)
+    return view_of(frame.left, frame.left_mask, rig.cam0), right.result()
+
+
+def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:
+    """The pyramid of an image (height, width), built once for all searches from and in it.
+
+    Each level has half the size of the last one (Gaussian, 5x5), and none is smaller than the
+    window.
+    """
+    window = settings.klt_window_px
+    margin = margin_of(window)
+    n_levels = max(settings.klt_levels, BACK_LEVELS)
+    levels: list[npt.NDArray[np.float32]] = []
+    while len(levels) < n_levels and (not levels or min(image.shape) > window):
+        padded = cv2.copyMakeBorder(image, margin, margin, margin, margin, cv2.BORDER_REFLECT_101)
+        levels.append(padded.astype(np.float32))
+        image = np.asarray(cv2.pyrDown(image))
+    return Pyramid(tuple(levels), window)
+
+
+def smoothed(image: Image, *, sigma_px: float = 0.8) -> npt.NDArray[np.float32]:
+    """The image (height, width) as patches are cut from it and aligned with it.
+
+    Bilinear sampling between pixels then costs little sharpness.
+    """
+    return np.asarray(cv2.GaussianBlur(image, (5, 5), sigma_px), dtype=np.float32)
+
+
+def inside_mask(uv: FloatArray, mask: Image | None) -> BoolArray:
+    """Which pixels (N, 2) lie where the mask (height, width) is not zero; those outside do not."""
+    masked = np.zeros(len(uv), dtype=np.bool_)
+    if mask is None:
+        return masked
+    height, width = mask.shape
+    near = np.isfinite(uv).all(axis=1)
+    u, v = np.round(uv[near]).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    masked[np.flatnonzero(near)[inside]] = mask[v[inside], u[inside]] > 0
+    return masked
+
+
+def equalize_histogram(image: Image) -> Image:
+    """Spread the grey levels of the whole image evenly."""
+    return np.asarray(cv2.equalizeHist(image), dtype=np.uint8)
+
+
+def equalize_locally(image: Image) -> Image:
+    """Contrast-limited adaptive equalization (K. Zuiderveld, Graphics Gems IV, 1994)."""
+    clahe = cv2.createCLAHE(clipLimit=_MAX_GAIN, tileGridSize=(8, 8))
+    return np.asarray(clahe.apply(image), dtype=np.uint8)
+
+
+def stretch_linearly(image: Image) -> Image:
+    """Bring the 2nd and 98th percentile to the ends of the range: one gain for all grey levels.
+
+    Unlike the curve of a histogram, a gain keeps what optical flow compares alike from frame to
+    frame when the scene changes; it is limited so that night stays night.
+    """
+    low, high = grey_percentiles(image[::4, ::4], (2.0, 98.0))
+    gain = min(255.0 / max(high - low, 1.0), _MAX_GAIN)
+    levels = np.clip((np.arange(256) - low) * gain, 0.0, 255.0).astype(np.uint8)
+    return np.asarray(cv2.LUT(image, levels), dtype=np.uint8)
+
+
+def grey_percentiles(image: Image, percent: Sequence[float]) -> FloatArray:
+    """Percentiles of grey levels, interpolated between neighbours, from their histogram.
+
+    The values of `numpy.percentile`, which sorts all pixels for them.
+    """
+    up_to = np.bincount(image.ravel(), minlength=256).cumsum()
+    place = np.array(percent) / 100.0 * (up_to[-1] - 1)
+    below = np.floor(place)
+    grey = np.searchsorted(up_to, np.stack([below, np.ceil(place)]), side="right")
+    out: FloatArray = grey[0] + (place - below) * (grey[1] - grey[0])
+    return out
+
+
+def leave_as_is(image: Image) -> Image:
+    """No correction."""
+    return image
+
+
+EQUALIZERS: dict[str, Callable[[Image], Image]] = {
+    "histogram": equalize_histogram,
+    "linear": stretch_linearly,
+    "clahe": equalize_locally,
+    "none": leave_as_is,
+}
+"""Contrast corrections by the setting `tracker.equalization`."""

@@ -1,0 +1,69 @@
+"""The box of a track: which features lie in it, its box in the image, its distance to others."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.objects.track import Track
+
+_MARGIN_M = 0.5  # beyond the points seen so far: a body is larger than what was seen of it
+_SIGMAS = 2.0  # of the feature's and the track's position
+
+
+def points_in_boxes(
+    tracks: Sequence[Track], p_world: FloatArray, position_cov: FloatArray
+) -> BoolArray:
+    """Which points (N, 3), with covariance (N, 3, 3), may lie in or near tracks' boxes: (T, N)."""
+    if not tracks:
+        return np.zeros((0, len(p_world)), dtype=np.bool_)
+    position, size = np.array([t.position for t in tracks]), np.array([t.size for t in tracks])
+    yaw = np.array([t.yaw for t in tracks])
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    x, y, z = (p_world[:, k] - position[:, k, None] for k in range(3))
+    half = 0.5 * size[:, :, None]
+    along = np.maximum(np.abs(c * x + s * y) - half[:, 0], 0.0)
+    across = np.maximum(np.abs(c * y - s * x) - half[:, 1], 0.0)
+    above = np.maximum(np.abs(z) - half[:, 2], 0.0)
+    of_tracks = np.array([np.trace(t.filter.best.covariance[:2, :2]) for t in tracks])
+    variance = np.trace(position_cov, axis1=1, axis2=2) + of_tracks[:, None]
+    with np.errstate(invalid="ignore"):
+        distance = np.sqrt(along**2 + across**2 + above**2)
+        near: BoolArray = distance < _MARGIN_M + _SIGMAS * np.sqrt(variance)
+    return near
+
+
+def is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
+    """Is a track's centre in the left image?"""
+    p_cam0 = se3.apply(se3.inverse(T_world_cam0), track.position[None])
+    return bool(rig.cam0.inside(rig.cam0.project(p_cam0))[0])
+
+
+def image_box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
+    """Left-image box (4,) of a track's points `uv` (N, 2): least u, v, greatest u, v, pixels.
+
+    With fewer than two points that of its 3-D box, clipped at the image border; NaN where its
+    centre is outside the image.
+    """
+    if len(uv) >= 2:
+        return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
+    if not is_in_view(track, T_world_cam0, rig):
+        return np.full(4, np.nan)
+    half = 0.5 * track.size
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    c, s = np.cos(track.yaw), np.sin(track.yaw)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    corners = track.position + (signs * half) @ R.T
+    uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
+    edge = np.array([rig.cam0.width, rig.cam0.height]) - 0.5
+    uv = np.clip(uv, -0.5, edge)  # and NaN where a corner is behind the camera
+    return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
+
+
+def centre_distances(track: Track, other: Track) -> tuple[float, float]:
+    """Distances of the centres, along and across the other's heading, metres."""
+    offset = track.position - other.position
+    c, s = np.cos(other.yaw), np.sin(other.yaw)
+    return abs(c * offset[0] + s * offset[1]), abs(-s * offset[0] + c * offset[1])

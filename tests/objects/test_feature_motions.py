@@ -1,0 +1,69 @@
+"""Motions of features by their positions at earlier times, and which have a body's velocity."""
+
+import numpy as np
+from object_fixtures import FRAME_NS, T_WORLD_CAM0, feature_motions, scene_points
+
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.objects.feature_motions import (
+    FeatureHistory,
+    FeatureMotions,
+    distances_from_rest_and_body,
+    moving_with,
+)
+from ovmot.types import ScenePoints
+
+
+def seen_at(p_world: FloatArray, ids: list[int]) -> ScenePoints:
+    p_cam0 = se3.apply(se3.inverse(T_WORLD_CAM0), p_world)
+    return scene_points([0] * len(ids), feature_id=ids, p_cam0=p_cam0)
+
+
+def moved(n_frames: int) -> tuple[FeatureMotions, FloatArray]:
+    """Two features that move for some frames, and one that is new in the last."""
+    history = FeatureHistory()
+    start = np.array([[10.0, 1.0, 0.5], [12.0, -1.0, 0.7], [9.0, 0.0, 0.2]])
+    velocity = np.array([[3.0, 1.0, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    for k in range(n_frames):
+        ids = [5, 2, 9] if k == n_frames - 1 else [5, 2]
+        p_world = (start + 0.1 * k * velocity)[: len(ids)]
+        motions = history.add(k * FRAME_NS, seen_at(p_world, ids), T_WORLD_CAM0)
+    assert history.last is motions
+    return motions, velocity
+
+
+def test_velocities_are_those_of_the_positions() -> None:
+    motions, velocity = moved(5)
+    assert motions.feature_id.tolist() == [5, 2, 9]
+    assert motions.known.tolist() == [True, True, False]
+    np.testing.assert_allclose(motions.velocity[:2], velocity[:2], atol=1e-9)
+    sigma = np.sqrt(np.linalg.eigvalsh(motions.velocity_cov[0])[-1])
+    assert 0.05 < sigma < 1.5
+    assert (motions.change[:2] < sigma**2).all()
+
+
+def test_what_is_too_old_is_dropped() -> None:
+    history = FeatureHistory()
+    p_world = np.array([[10.0, 1.0, 0.5]])
+    history.add(0, seen_at(p_world, [4]), T_WORLD_CAM0)
+    late = history.add(10 * FRAME_NS, seen_at(p_world, [4]), T_WORLD_CAM0)
+    assert not late.known.any()
+
+
+def test_distances_from_rest_and_from_a_body() -> None:
+    v = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    motions = feature_motions(v, sigma=0.3)
+    index, velocity = np.array([0, 1]), np.array([2.0, 0.0, 0.0])
+    rest, body = distances_from_rest_and_body(motions, index, velocity, 0.07 * np.eye(3))
+    np.testing.assert_allclose(rest, [4.0 / 0.13, 0.0])
+    np.testing.assert_allclose(body, [0.0, 4.0 / 0.2])
+
+
+def test_features_with_a_bodys_velocity_are_found_among_those_at_rest() -> None:
+    v = np.array([[5.0, 0.2, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 0.0, 0.0], [np.nan] * 3])
+    candidate = np.array([True, True, False, True, True])
+    found = moving_with(feature_motions(v), candidate, np.array([5.0, 0.0, 0.0]), 0.01 * np.eye(3))
+    assert found.tolist() == [True, False, False, False, False]
+    # a body that may be at rest gains none
+    slow = moving_with(feature_motions(v), candidate, np.array([0.3, 0.0, 0.0]), np.eye(3))
+    assert not slow.any()

@@ -1,0 +1,51 @@
+"""Output conversion: a track's fields, and the state that is reported."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from object_fixtures import FRAME_NS, T_WORLD_CAM0, make_track, scene_points, small_rig
+
+from ovmot.objects.output import to_object_track
+from ovmot.objects.track import Track, TrackState
+from ovmot.types import ObjectTrack
+
+
+def converted(track: Track, now_ns: int = FRAME_NS) -> ObjectTrack:
+    points = scene_points([2, 2, 2], pixels=np.arange(12.0).reshape(3, 4))
+    track_id = np.array([7, -1, 7])
+    return to_object_track(track, now_ns, points, track_id, T_WORLD_CAM0, small_rig())
+
+
+def test_fields_are_those_of_the_track() -> None:
+    track = make_track((10.0, 1.0, 1.0), (3.0, 0.5, 0.0))
+    out = converted(track)
+    assert (out.track_id, out.state, out.n_points) == (7, "confirmed", 2)
+    np.testing.assert_array_equal(out.position, track.position)
+    np.testing.assert_array_equal(out.velocity, track.velocity)
+    np.testing.assert_array_equal(out.box_px, [0.0, 1.0, 8.0, 9.0])
+    variance = np.diag(track.filter.best.covariance)
+    np.testing.assert_allclose(
+        np.concatenate([out.std_position, out.std_velocity]) ** 2, variance[:6]
+    )
+
+
+@pytest.mark.parametrize(
+    ("x", "sigma_m", "missed_s", "state"),
+    [
+        (10.0, 2.0, 0.1, "confirmed"),  # for a moment
+        (10.0, 2.0, 0.4, "coasting"),
+        (10.0, 0.1, 0.4, "confirmed"),  # occluded, but well known
+        (-10.0, 0.1, 0.4, "coasting"),  # out of the image
+    ],
+)
+def test_a_missed_track_stays_confirmed_while_it_is_known_in_view(
+    x: float, sigma_m: float, missed_s: float, state: str
+) -> None:
+    track = make_track((x, 0.0, 1.0), state=TrackState.COASTING)
+    models = {
+        name: replace(e, covariance=sigma_m**2 * np.eye(7))
+        for name, e in track.filter.models.items()
+    }
+    track = replace(track, filter=replace(track.filter, models=models))
+    assert converted(track, FRAME_NS + round(1e9 * missed_s)).state == state

@@ -1,0 +1,46 @@
+"""The box of a track: what lies in it, and where it is in the image."""
+
+import numpy as np
+import pytest
+from object_fixtures import T_WORLD_CAM0, make_track, small_rig
+
+from ovmot.objects.track_box import centre_distances, image_box, is_in_view, points_in_boxes
+
+EXACT = 1e-6 * np.eye(3)
+
+
+def test_points_are_in_the_box_along_the_heading() -> None:
+    track = make_track((10.0, 0.0, 1.0), (0.0, 5.0, 0.0))  # 4 m long, along y
+    p = np.array([[10.0, 2.3, 1.0], [15.0, 0.0, 1.0], [10.0, 0.0, 7.0], [np.nan] * 3])
+    cov = np.broadcast_to(EXACT, (4, 3, 3))
+    np.testing.assert_array_equal(points_in_boxes([track], p, cov), [[True, False, False, False]])
+    assert points_in_boxes([], p, cov).shape == (0, 4)
+    unsure = np.broadcast_to(0.5 * np.eye(3), (4, 3, 3))
+    np.testing.assert_array_equal(points_in_boxes([track], p, unsure), [[True, True, False, False]])
+
+
+@pytest.mark.parametrize(("y", "seen"), [(0.0, True), (9.0, False)])
+def test_the_centre_is_in_view_or_not(y: float, seen: bool) -> None:
+    track = make_track((10.0, y, 1.0))
+    assert is_in_view(track, T_WORLD_CAM0, small_rig()) is seen
+    assert not is_in_view(make_track((-10.0, y, 1.0)), T_WORLD_CAM0, small_rig())
+
+
+def test_the_image_box_is_that_of_the_points_or_of_the_body() -> None:
+    rig, track = small_rig(), make_track((10.0, 0.0, 1.6))
+    uv = np.array([[300.0, 120.0], [340.0, 150.0], [320.0, 110.0]])
+    np.testing.assert_array_equal(
+        image_box(track, uv, T_WORLD_CAM0, rig), [300.0, 110.0, 340.0, 150.0]
+    )
+    # the corners of 4.0 x 1.8 x 1.5 m, the near ones 8 m away
+    half = 400.0 / 8.0 * np.array([0.9, 0.75])
+    middle = np.array([320.0, 140.0])
+    expected = np.concatenate([middle - half, middle + half])
+    np.testing.assert_allclose(image_box(track, uv[:1], T_WORLD_CAM0, rig), expected, atol=1e-6)
+    gone = make_track((10.0, 20.0, 1.6))
+    assert np.isnan(image_box(gone, uv[:1], T_WORLD_CAM0, rig)).all()
+
+
+def test_centres_are_apart_along_and_across_the_heading() -> None:
+    track, other = make_track((1.0, 2.0, 0.0)), make_track((4.0, 0.0, 0.0), (0.0, 3.0, 0.0))
+    np.testing.assert_allclose(centre_distances(track, other), [2.0, 3.0], atol=1e-9)
