@@ -22,7 +22,12 @@ def buffer_of(n: int = 11, period_ns: int = 10_000_000) -> ImuBuffer:
 
 def test_both_ends_of_an_interval_are_interpolated() -> None:
     interval = buffer_of().between(EPOCH + 12_500_000, EPOCH + 37_000_001)
-    assert (interval.timestamp_ns - EPOCH).tolist() == [12_500_000, 20_000_000, 30_000_000, 37_000_001]
+    assert (interval.timestamp_ns - EPOCH).tolist() == [
+        12_500_000,
+        20_000_000,
+        30_000_000,
+        37_000_001,
+    ]
     seconds = 1e-9 * (interval.timestamp_ns - EPOCH)
     np.testing.assert_allclose(interval.gyro[:, 0], seconds, atol=1e-12)
     np.testing.assert_allclose(interval.accel[:, 2], 2.0 * seconds, atol=1e-12)
