@@ -1,10 +1,18 @@
-"""Gates are quantiles of chi-squared; the road users' facts hold together."""
+"""Gates are quantiles of chi-squared; pixel noise and road users' facts hold together."""
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ovmot.physics import CAR_SIZE_M, MAX_VEHICLE_SIZE_M, gate, gates
+from ovmot.physics import (
+    CAR_SIZE_M,
+    MAX_VEHICLE_SIZE_M,
+    PIXEL_SIGMA,
+    gate,
+    gates,
+    tracked_pixel_sigma,
+)
+from ovmot.settings import FilterSettings
 
 
 @pytest.mark.parametrize("dof", [1, 2, 3, 4, 6, 50])
@@ -26,3 +34,10 @@ def test_gates_of_an_array_are_those_of_its_elements() -> None:
 
 def test_a_car_is_a_vehicle() -> None:
     assert all(car < most for car, most in zip(CAR_SIZE_M, MAX_VEHICLE_SIZE_M, strict=True))
+
+
+def test_the_filter_s_pixel_noise_is_that_of_drifting_patches() -> None:
+    settings = FilterSettings()
+    assert tracked_pixel_sigma(0) == PIXEL_SIGMA
+    assert tracked_pixel_sigma(settings.max_clones) == pytest.approx(settings.pixel_sigma, abs=0.01)
+    assert tracked_pixel_sigma(100) == pytest.approx(settings.landmark_pixel_sigma, abs=0.06)

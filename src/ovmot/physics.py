@@ -17,7 +17,9 @@ PIXEL_SIGMA = 0.4
 
 Of sub-pixel registration of patches by Lucas-Kanade on real images (S. Baker & I. Matthews, IJCV
 2004, find some tenths of a pixel)."""
-
+LEAST_MATCH_SIGMA_PX = 0.1
+"""Standard deviation that least squares matching of natural texture reaches at best, a tenth of a
+pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogrammetry 14, 1985)."""
 PATCH_DRIFT_PX = 0.15
 """Standard deviation by which a tracked patch drifts on what it shows, pixels, from frame to frame:
 a random walk."""
@@ -54,6 +56,11 @@ MANOEUVRE_S = 2.0
 (R. Singer, IEEE TAES 1970)."""
 YAW_RATE_SIGMA_RPS = 0.25
 """Standard deviation of a road user's yaw rate: the acceleration above across its way, at 6 m/s."""
+TURN_SPREAD_MPS = 0.5
+"""Velocities of points of one turning body differ by this: 0.4 rad/s at 1.25 m from its centre."""
+ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
+"""Standard deviation of a road user's velocity in either level direction and upwards: 36 km/h, and
+a slope of 5 % at that speed."""
 MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)
@@ -72,11 +79,6 @@ REST_SPEED_MPS = 0.02
 """Its speed, standard deviation: `REST_STEP_M` in a tenth of a second."""
 REST_TURN_RAD = 2e-4
 """Its rotation from one frame to the next, standard deviation: `REST_STEP_M` over ten metres."""
-
-# Pixels.
-LEAST_MATCH_SIGMA_PX = 0.1
-"""Standard deviation that least squares matching of natural texture reaches at best, a tenth of a
-pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogrammetry 14, 1985)."""
 
 
 def tracked_pixel_sigma(n_frames: float) -> float:

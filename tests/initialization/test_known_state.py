@@ -1,4 +1,4 @@
-"""A known start is the given state at the given frame, as sure as it was told."""
+"""Initialization by a known state: the given state at the given frame, with the given sigmas."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Cuts of the IMU stream at exact times."""
+"""Intervals of the IMU stream between exact times."""
 
 import numpy as np
 import pytest
@@ -20,23 +20,28 @@ def buffer_of(n: int = 11, period_ns: int = 10_000_000) -> ImuBuffer:
     return buffer
 
 
-def test_both_ends_of_a_cut_are_interpolated() -> None:
-    cut = buffer_of().between(EPOCH + 12_500_000, EPOCH + 37_000_001)
-    assert (cut.timestamp_ns - EPOCH).tolist() == [12_500_000, 20_000_000, 30_000_000, 37_000_001]
-    seconds = 1e-9 * (cut.timestamp_ns - EPOCH)
-    np.testing.assert_allclose(cut.gyro[:, 0], seconds, atol=1e-12)
-    np.testing.assert_allclose(cut.accel[:, 2], 2.0 * seconds, atol=1e-12)
-    np.testing.assert_allclose(cut.gyro[:, 2], 1.0)
+def test_both_ends_of_an_interval_are_interpolated() -> None:
+    interval = buffer_of().between(EPOCH + 12_500_000, EPOCH + 37_000_001)
+    assert (interval.timestamp_ns - EPOCH).tolist() == [
+        12_500_000,
+        20_000_000,
+        30_000_000,
+        37_000_001,
+    ]
+    seconds = 1e-9 * (interval.timestamp_ns - EPOCH)
+    np.testing.assert_allclose(interval.gyro[:, 0], seconds, atol=1e-12)
+    np.testing.assert_allclose(interval.accel[:, 2], 2.0 * seconds, atol=1e-12)
+    np.testing.assert_allclose(interval.gyro[:, 2], 1.0)
 
 
-def test_a_cut_at_samples_takes_them_once() -> None:
-    cut = buffer_of().between(EPOCH + 20_000_000, EPOCH + 40_000_000)
-    assert (cut.timestamp_ns - EPOCH).tolist() == [20_000_000, 30_000_000, 40_000_000]
+def test_an_interval_between_samples_takes_them_once() -> None:
+    interval = buffer_of().between(EPOCH + 20_000_000, EPOCH + 40_000_000)
+    assert (interval.timestamp_ns - EPOCH).tolist() == [20_000_000, 30_000_000, 40_000_000]
 
 
-def test_a_cut_between_two_samples() -> None:
-    cut = buffer_of().between(EPOCH + 21_000_000, EPOCH + 22_000_000)
-    np.testing.assert_allclose(cut.gyro[:, 0], [0.021, 0.022], atol=1e-12)
+def test_an_interval_within_two_samples() -> None:
+    interval = buffer_of().between(EPOCH + 21_000_000, EPOCH + 22_000_000)
+    np.testing.assert_allclose(interval.gyro[:, 0], [0.021, 0.022], atol=1e-12)
 
 
 @pytest.mark.parametrize(("start", "end"), [(-1, 5), (5, 100_000_001), (7, 7), (9, 8)])
@@ -56,7 +61,7 @@ def test_stamps_must_rise(step: int) -> None:
     assert len(buffer) == 3
 
 
-def test_forgetting_keeps_what_a_later_cut_needs() -> None:
+def test_dropping_keeps_what_a_later_interval_needs() -> None:
     buffer = buffer_of()
     buffer.drop_before(EPOCH + 45_000_000)
     assert buffer.first_ns == EPOCH + 40_000_000

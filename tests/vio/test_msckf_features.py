@@ -56,7 +56,7 @@ def gate(
 
 
 def per_clone(state: State, rig: StereoRig, points: FloatArray, field: str) -> FloatArray:
-    """Noiseless pixels, or plane coordinates, (F, K, 4)."""
+    """Noiseless pixels, or normalized coordinates, (F, K, 4)."""
     out = []
     for camera, T_imu_cam in zip(rig.cameras, (rig.T_imu_cam0, rig.T_imu_cam1), strict=True):
         T_cam_world = se3.inverse(state.clones.T_world_imu @ T_imu_cam)

@@ -1,4 +1,4 @@
-"""The frames that an initializer looks at, until it has an initial state."""
+"""The frames that an initializer uses, until it has an initial state."""
 
 from collections import deque
 
@@ -12,11 +12,11 @@ from ovmot.settings import InitializationSettings
 from ovmot.types import FrontendFrame
 from ovmot.vio.imu_buffer import ImuBuffer, integrated_rotation
 
-_LONGER = 1.2  # than the longest window: what is kept, since frames do not come to the nanosecond
+_LONGER = 1.2  # than the longest window: frames kept, so that they span it at any frame rate
 
 
 class FrameBuffer:
-    """Keeps the newest frames before the start, as many as an initializer looks at."""
+    """Keeps the newest frames before initialization, as many as an initializer uses."""
 
     def __init__(self, initializer: Initializer, settings: InitializationSettings) -> None:
         self._initializer = initializer
@@ -29,11 +29,11 @@ class FrameBuffer:
         return tuple(self._frames)
 
     def clear(self) -> None:
-        """Let all frames go."""
+        """Drop all frames."""
         self._frames.clear()
 
     def append(self, seen: FrontendFrame, imu: ImuBuffer) -> None:
-        """Take a frame; drop those beyond the window, and those that are older than the IMU."""
+        """Add a frame; drop those beyond the window, and those older than the IMU."""
         frames, first_ns = self._frames, imu.first_ns
         frames.append(seen)
         span_ns = round(_LONGER * 1e9 * self._settings.motion_window_s)
@@ -48,7 +48,7 @@ class FrameBuffer:
 
     @property
     def imu_needed_from_ns(self) -> int:
-        """The oldest IMU time that the initializer may ask for; there is a frame."""
+        """The oldest IMU time that the initializer may use, once there is a frame."""
         oldest_ns = self._initializer.imu_time_ns(self._frames[0].timestamp_ns)
         return oldest_ns - round(1e9 * self._settings.window_s)
 

@@ -36,10 +36,6 @@ from ovmot.vio.state import (
 )
 
 _NO_CALIBRATION = OnlineCalibration()
-# Where samples are missing, nothing was measured: the motion is only known to be a vehicle's. Noise
-# of deviation σ that persists for a time τ has the density σ √(2τ) (R. Singer, IEEE TAES 1970).
-_GAP_GYRO = YAW_RATE_SIGMA_RPS * float(np.sqrt(2.0 * MANOEUVRE_S))  # rad/s/sqrt(Hz)
-_GAP_ACCEL = ACCEL_SIGMA_MPS2 * float(np.sqrt(2.0 * MANOEUVRE_S))  # m/s²/sqrt(Hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,8 +174,9 @@ def _pair_matrices(
     F[:, VELOCITY, ACCEL_BIAS] = -R * h
 
     gap = np.zeros((n, 1, 1), np.bool_) if in_gap is None else in_gap[:, None, None]
-    gyro_variance = np.where(gap, _GAP_GYRO, noise.gyro) ** 2
-    accel_variance = np.where(gap, _GAP_ACCEL, noise.accel) ** 2
+    # where samples are missing, the motion is only known to be a vehicle's
+    gyro_variance = np.where(gap, _vehicle_noise(YAW_RATE_SIGMA_RPS), noise.gyro) ** 2
+    accel_variance = np.where(gap, _vehicle_noise(ACCEL_SIGMA_MPS2), noise.accel) ** 2
     Q = np.zeros((n, N_IMU, N_IMU))
     Q[:, THETA, THETA] = gyro_variance * h * Jr @ np.swapaxes(Jr, -1, -2)
     Q[:, VELOCITY, VELOCITY] = accel_variance * h * eye
@@ -188,6 +185,12 @@ def _pair_matrices(
     Q[:, GYRO_BIAS, GYRO_BIAS] = noise.gyro_walk**2 * h * eye
     Q[:, ACCEL_BIAS, ACCEL_BIAS] = noise.accel_walk**2 * h * eye
     return F, Q
+
+
+def _vehicle_noise(sigma: float) -> float:
+    """White noise density of a motion of standard deviation `sigma` that persists for a time τ:
+    σ √(2τ) (R. Singer, IEEE TAES 1970), 3 m/s²/√Hz and 0.5 rad/s/√Hz."""
+    return float(sigma * np.sqrt(2.0 * MANOEUVRE_S))
 
 
 def _calibration_columns(
