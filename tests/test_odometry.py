@@ -464,7 +464,7 @@ def test_the_imu_does_not_pile_up_before_a_start(
     imu = [ImuSample(ORIGIN_NS + 5_000_000 * k, np.zeros(3), np.array([0.0, 0.0, 9.81]))
            for k in range(1600)]  # fmt: skip
     assert run(odometry, merged(still, imu)) == []
-    assert "not at rest" in str(odometry.not_started_because)
+    assert "static initialization" in str(odometry.not_started_because)
     assert len(odometry._imu) < 200 * (1.44 + 0.5 + 1.0 + 2.5)
 
 

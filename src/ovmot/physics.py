@@ -56,11 +56,6 @@ MANOEUVRE_S = 2.0
 (R. Singer, IEEE TAES 1970)."""
 YAW_RATE_SIGMA_RPS = 0.25
 """Standard deviation of a road user's yaw rate: the acceleration above across its way, at 6 m/s."""
-TURN_SPREAD_MPS = 0.5
-"""Velocities of points of one turning body differ by this: 0.4 rad/s at 1.25 m from its centre."""
-ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
-"""Standard deviation of a road user's velocity in either level direction and upwards: 36 km/h, and
-a slope of 5 % at that speed."""
 MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)

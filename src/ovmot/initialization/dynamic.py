@@ -24,7 +24,7 @@ from ovmot.vio.integrators import integrate_rk4
 from ovmot.vio.propagation import Propagation, propagate_imu
 from ovmot.vio.state import ACCEL_BIAS, GYRO_BIAS, N_IMU, POSITION, THETA, ImuState
 
-MAX_RMS = 3.0
+_MAX_RMS = 2.0
 """Root mean square of whitened residuals beyond which a solution is refused."""
 
 
@@ -104,9 +104,9 @@ def align_with_imu(
             f" (within {MAX_ACCEL_BIAS_MPS2:g} of {prior.gravity:g})"
         )
     fit = _refine_with_known_gravity(p - alpha, by_bias, t, sigma, gravity, prior)
-    if fit.rms > MAX_RMS:
+    if fit.rms > _MAX_RMS:
         raise InitializationError(
-            f"IMU and stereo motion differ by {fit.rms:.1f} sigma (at most {MAX_RMS:g})"
+            f"IMU and stereo motion differ by {fit.rms:.1f} sigma (at most {_MAX_RMS:g})"
         )
     R = gravity_aligned_rotation(-fit.gravity)
     zero = np.zeros(3)

@@ -21,7 +21,7 @@ from ovmot.initialization.window import (
     OFFSET,
     KeyframeWindow,
 )
-from ovmot.physics import GYRO_BIAS_SIGMA_RPS, REST_SPEED_MPS, REST_STEP_M, REST_TURN_RAD
+from ovmot.physics import GYRO_BIAS_SIGMA_RPS
 from ovmot.types import ImuData, ImuNoise
 from ovmot.vio.integrators import Integrator
 from ovmot.vio.propagation import Propagation, propagate_imu
@@ -32,6 +32,11 @@ _INTEGRATION_SIGMA = 1e-6  # rad, m, m/s: keeps Q of a single sample pair from b
 
 Factor = tuple[FloatArray, FloatArray]
 """Whitened residual (m,) and its Jacobian (m, N) by the window's error coordinates."""
+
+
+_REST_SIGMAS = (5e-3, 1e-5, 5e-4)
+"""Of a window that images and IMU both call stationary: speed, m/s; rotation, rad, and translation,
+m, between two keyframes. Tighter than a single frame of the filter's zero-velocity update."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +117,11 @@ def _interval_factor(
 def zero_velocity_factor(window: KeyframeWindow) -> Factor:
     """9 rows for each keyframe of a stationary rig: zero velocity, the pose of the one before.
 
-    With the standard deviations of the filter's zero-velocity update.
+    Its standard deviations are those of a window that is stationary from end to end.
     """
     T, n = window.T_world_imu, len(window)
-    velocity_sigma = REST_SPEED_MPS
-    sigma = np.repeat([REST_TURN_RAD, REST_STEP_M], 3)
+    velocity_sigma, *pose_sigmas = _REST_SIGMAS
+    sigma = np.repeat(pose_sigmas, 3)
     r, J = np.zeros((n, KEYFRAME_SIZE)), np.zeros((n, KEYFRAME_SIZE, window.size))
     for k in range(n):
         now = J[k, :, window.columns(k)]

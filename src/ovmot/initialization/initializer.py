@@ -12,7 +12,7 @@ from ovmot.feature_table import FeatureTable, append_frame, empty_table, mark_us
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.initialization.bundle_adjustment import AdjustedWindow, bundle_adjust, keyframe_pixels
-from ovmot.initialization.dynamic import MAX_RMS, InitializationPrior, dynamic_initialization
+from ovmot.initialization.dynamic import InitializationPrior, dynamic_initialization
 from ovmot.initialization.factors import (
     Factor,
     ImuIntervals,
@@ -35,6 +35,9 @@ from ovmot.vio.state import ACCEL_BIAS, GYRO_BIAS, ImuState
 
 _MIN_STATIC_FRAMES = 3
 _MIN_DYNAMIC_FRAMES = 5
+
+
+_MAX_RMS = 3.0  # of the adjusted window's whitened residuals; beyond, it is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,10 +142,10 @@ class FilterInitializer:
         """The filter after bundle adjustment, and the table with used observations marked."""
         for_filter = self._features_for_filter(guess)
         adjusted = self._bundle_adjusted(guess, np.setdiff1d(guess.feature_id, for_filter), imu)
-        if max(adjusted.factor_rms, adjusted.pixel_rms) > MAX_RMS:
+        if max(adjusted.factor_rms, adjusted.pixel_rms) > _MAX_RMS:
             raise InitializationError(
                 f"IMU and images of the window are off by {adjusted.factor_rms:.1f} and"
-                f" {adjusted.pixel_rms:.1f} sigma (at most {MAX_RMS:g})"
+                f" {adjusted.pixel_rms:.1f} sigma (at most {_MAX_RMS:g})"
             )
         frames = guess.frames
         n_without_frame = len(guess.imu_ns) - len(frames)

@@ -19,14 +19,17 @@ from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
 from ovmot.physics import (
     CAR_SIZE_M,
     GYRO_BIAS_SIGMA_RPS,
-    PIXEL_SIGMA,
     VARIANCE_FACTOR,
-    tracked_pixel_sigma,
 )
 from ovmot.types import FrontendFrame, ImuData
 from ovmot.vio.imu_buffer import integrated_rotation
 
 _NO_FEATURES = np.empty(0, dtype=np.int64)
+
+
+_PIXEL_SIGMA = 1.0
+"""Of a stereo match, before anything has measured it: poor images count as well as good ones, and a
+body that moves almost like the world stays with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +59,7 @@ def stereo_path(
     `InitializationError` where two frames have no common motion.
     """
     R_cam_imu = rig.T_imu_cam0[:3, :3].T
-    sigma = rig.normalized_sigma(tracked_pixel_sigma(1))
+    sigma = rig.normalized_sigma(_PIXEL_SIGMA)
     T_first_cam = [np.eye(4)]
     variances = [np.zeros(6)]
     inliers = _NO_FEATURES
@@ -94,6 +97,6 @@ def occupied_cells(normalized: FloatArray, rig: StereoRig, *, max_depth_error: f
     p = p[np.isfinite(p).all(axis=1)]
     if not len(p):
         return 0
-    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(PIXEL_SIGMA))
+    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(_PIXEL_SIGMA))
     p = p[np.sqrt(C[:, 2, 2]) < max_depth_error * p[:, 2]]
     return len(np.unique(np.floor(p / CAR_SIZE_M[1]).astype(np.int64), axis=0))

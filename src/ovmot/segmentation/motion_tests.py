@@ -16,9 +16,6 @@ from ovmot.segmentation.neighbour_consensus import neighbours_with_same_velocity
 from ovmot.segmentation.static_comparison import StaticComparison
 from ovmot.settings import SegmentationSettings
 
-_MIN_CONSENSUS = 2
-"""Neighbours that must move alike where a point's own case is weak or rests on one comparison."""
-
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
@@ -80,8 +77,8 @@ def covariance_test(evidence: Evidence, settings: SegmentationSettings) -> Verdi
         evidence.p_cam0, evidence.cov_cam0, static.velocity, static.covariance, weak | fresh
     )
     any_neighbour = alike.any(axis=1)
-    by_strong = (alike & strong[None, :]).sum(axis=1) >= _MIN_CONSENSUS
-    by_both = (alike & (strong | fresh)[None, :]).sum(axis=1) >= _MIN_CONSENSUS
+    by_strong = (alike & strong[None, :]).sum(axis=1) >= 2
+    by_both = (alike & (strong | fresh)[None, :]).sum(axis=1) >= 2
     moving = (strong & any_neighbour) | (weak & by_strong) | (fresh & by_both)
     return Verdict(tested, moving, impossible & ~moving)
 

@@ -27,9 +27,6 @@ from ovmot.types import tracked_pixels
 from ovmot.vio.state import VELOCITY, State
 from ovmot.vio.update import ekf_update, innovation_distance
 
-LOOK_BACK_S = 0.5
-"""In this time a creep of some centimetres a second moves near points by more than their noise."""
-
 
 def zero_velocity_detected(
     state: State,
@@ -43,16 +40,21 @@ def zero_velocity_detected(
 
 
 def image_is_stationary(
-    table: FeatureTable, history: StereoHistory, rig: StereoRig, settings: ZeroVelocitySettings
+    table: FeatureTable,
+    history: StereoHistory,
+    rig: StereoRig,
+    settings: ZeroVelocitySettings,
+    *,
+    look_back_s: float = 0.5,
 ) -> bool:
     """Do most points of the newest frame keep their place, and is their stereo motion zero?
 
     `history` is that of the table's newest frame. Compared is the oldest frame of it that is at
-    most `LOOK_BACK_S` old; False while there is none at least half as old. Outliers and dynamic
-    features are left out.
+    most `look_back_s` old, in which time a creep of some centimetres a second shows; False while
+    there is none at least half as old. Outliers and dynamic features are left out.
     """
-    recent = np.flatnonzero(history.span_s <= LOOK_BACK_S * (1.0 + FRAME_JITTER))
-    if len(recent) == 0 or history.span_s[recent[0]] < 0.5 * LOOK_BACK_S:
+    recent = np.flatnonzero(history.span_s <= look_back_s * (1.0 + FRAME_JITTER))
+    if len(recent) == 0 or history.span_s[recent[0]] < 0.5 * look_back_s:
         return False
     k, column = int(recent[0]), table.columns(history.feature_id)
     candidates = ~table.outlier[column] & ~table.dynamic[column]
