@@ -96,17 +96,15 @@ def _dot(a: _Float32, b: _Float32) -> float:
     return float(total)
 
 
-@reordered_part
-def _newton_step(error: _Float32, steepest: _Float32, inverse: _Float32, step: FloatArray) -> float:
-    """Fill `step` (6,) = inverse (6, 6) steepest (6, M) error (M,); its largest number."""
-    step[:] = 0.0
-    for k in range(6):
-        gradient = _dot(error, steepest[k])
-        for j in range(6):
-            step[j] += inverse[j, k] * gradient
+@part
+def _multiply(matrix: _Float32, vector: FloatArray, out: FloatArray) -> float:
+    """Fill out (6,) = matrix (6, 6) vector (6,); its largest absolute number."""
     largest = 0.0
     for j in range(6):
-        largest = max(largest, abs(step[j]))
+        out[j] = 0.0
+        for k in range(6):
+            out[j] += matrix[j, k] * vector[k]
+        largest = max(largest, abs(out[j]))
     return largest
 
 
@@ -152,7 +150,7 @@ def align_points(
     radius = float(offsets.max())
     correlation = np.zeros(n_points)
     error = np.empty(n_pixels, dtype=np.float32)
-    step = np.empty(6)
+    gradient, step = np.empty(6), np.empty(6)
     for n in range(n_points):
         start_u, start_v = uv[n, 0], uv[n, 1]
         if not (math.isfinite(start_u) and math.isfinite(start_v)):
@@ -167,7 +165,9 @@ def align_points(
             for m in range(n_pixels):
                 error[m] -= grey[n, m]
             correlation[n] = 1.0 - 0.5 * _dot(error, error)
-            largest = _newton_step(error, steepest[n], inverse[n], step)
+            for k in range(6):
+                gradient[k] = _dot(error, steepest[n, k])
+            largest = _multiply(inverse[n], gradient, step)
             if not _compose(uv[n], warp[n], step, radius):
                 correlation[n] = 0.0
                 break
