@@ -13,7 +13,7 @@ from ovmot.geometry.id_sets import positions
 from ovmot.types import FrontendFrame, PixelNoise
 
 MAX_SHARING_ROWS = 20
-"""Frames of a standstill that are remembered for the split; the filter needs none of them."""
+"""Frames of a standstill that are kept for the segmentation; the filter needs none of them."""
 
 
 LOOK_BACK_TOLERANCE = 0.3

@@ -185,7 +185,7 @@ class GivenEgoSettings(Section):
     position_sigma_m: float = Field(0.03, gt=0.0)
     """Standard deviation of each pose's position."""
     window: int = Field(11, ge=2)
-    """Past poses kept for the split."""
+    """Past poses kept for the segmentation."""
 
 
 class ZeroVelocitySettings(Section):
@@ -290,7 +290,7 @@ class LiveSettings(Section):
 
 
 class Settings(Section):
-    """Everything that a run can be told."""
+    """All settings of a run."""
 
     tracker: TrackerSettings = TrackerSettings()
     epipolar: EpipolarSettings = EpipolarSettings()

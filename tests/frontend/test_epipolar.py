@@ -193,10 +193,11 @@ def distances(px: FloatArray, threshold: float = 1.5) -> StereoMatches:
 def test_the_noise_of_pixels_is_that_of_the_distances() -> None:
     """Of both pixels in quadrature; a distance across the line holds all of it."""
     normal = np.abs(np.random.default_rng(0).normal(0.0, 0.3 * 2.0**0.5, 20000))
-    assert match_sigma(distances(normal)) == pytest.approx(0.3, rel=0.02)
-    # heavier tails than a normal distribution widen it, rejected matches do not count
-    tails = np.concatenate([normal, np.abs(np.random.default_rng(1).normal(0.0, 1.0, 3000))])
-    assert 0.32 < match_sigma(distances(tails)) < 0.45
+    assert match_sigma(distances(normal), tails=1.0) == pytest.approx(0.3, rel=0.02)
+    assert match_sigma(distances(normal)) == pytest.approx(0.45, rel=0.02)
+    # a few gross errors hardly matter, rejected matches do not count
+    gross = np.concatenate([normal, np.full(400, 1.4)])
+    assert match_sigma(distances(gross)) == pytest.approx(0.45, rel=0.05)
     wrong = np.concatenate([normal, np.full(9000, 50.0)])
     assert match_sigma(distances(wrong)) == match_sigma(distances(normal))
 
@@ -204,7 +205,7 @@ def test_the_noise_of_pixels_is_that_of_the_distances() -> None:
 def test_few_matches_show_no_noise_and_exact_ones_the_least() -> None:
     assert np.isnan(match_sigma(no_matches()))
     assert np.isnan(match_sigma(distances(np.full(19, 0.2))))
-    assert match_sigma(distances(np.zeros(20))) == LEAST_MATCH_SIGMA_PX
+    assert match_sigma(distances(np.zeros(20)), tails=1.0) == LEAST_MATCH_SIGMA_PX
 
 
 def scene(n: int, T_now_before: FloatArray, seed: int = 0) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.physics import LEAST_MATCH_SIGMA_PX, gate
+from ovmot.physics import LEAST_MATCH_SIGMA_PX
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
@@ -84,22 +84,19 @@ def without_rejected(values: FloatArray, matches: StereoMatches) -> FloatArray:
     return out
 
 
-def match_sigma(
-    matches: StereoMatches, *, probability: float = 0.95, min_matches: int = 20
-) -> float:
+def match_sigma(matches: StereoMatches, *, tails: float = 1.5, min_matches: int = 20) -> float:
     """Standard deviation of each pixel of a stereo pair, by the accepted distances; NaN for few.
 
     A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
-    disparity has along it. The sigma is that of which a normal distribution has this probability
-    within the same bound as the distances: matches have heavier tails than their median shows, and
-    gates at this probability hold what they should. At least what matching can reach,
-    `physics.LEAST_MATCH_SIGMA_PX`.
+    disparity has along it. Robust (1.4826 times the median, that of a normal distribution), at
+    least what matching can reach (`physics.LEAST_MATCH_SIGMA_PX`), and wider by `tails`: matches
+    have heavier tails than their median shows.
     """
     distance = matches.distance_px[matches.accepted]
     if len(distance) < min_matches:
         return float("nan")
-    bound = float(np.quantile(distance, probability))
-    return float(max(bound / (2.0 * gate(1, probability)) ** 0.5, LEAST_MATCH_SIGMA_PX))
+    sigma = 1.4826 * float(np.median(distance)) / 2.0**0.5
+    return float(tails * max(sigma, LEAST_MATCH_SIGMA_PX))
 
 
 def two_view_inliers(

@@ -43,7 +43,7 @@ class Output(Protocol):
 class RunContext:
     """What outputs know of the run.
 
-    The rig, the names of the pipeline's stages if known, and the number of each stamp's frame.
+    The rig, the names of the stages if known, and the number of each stamp's frame.
     """
 
     rig: StereoRig

@@ -1,7 +1,7 @@
 """The result of a frame as ROS messages: pure functions, for bags and live nodes.
 
     path = PathSoFar()
-    for result in pipeline.feed(event):
+    for result in odometry.add(event):
         path = path.extended(result)
         for published in frame_messages(result, path): ...  # its topic and message
 

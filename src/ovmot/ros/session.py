@@ -64,21 +64,21 @@ class Session:
     def __init__(
         self,
         intake: Intake,
-        make_pipeline: Callable[[], Odometry],
+        make_odometry: Callable[[], Odometry],
         rig: StereoRig,
         settings: LiveSettings,
         sink: Sink,
         say: Callable[[str], None],
     ) -> None:
         self._intake = intake
-        self._make_pipeline = make_pipeline
+        self._make_odometry = make_odometry
         self._rig = rig
         self._settings = settings
         self._sink = sink
         self._say = say
         self._names = frame_names(settings)
-        self._pipeline = make_pipeline()
-        self._first = Numbers()  # of this pipeline
+        self._odometry = make_odometry()
+        self._first = Numbers()  # of this odometry
         self._free = Numbers()
         self._path = PathSoFar()
         self._trails = Trails()
@@ -105,7 +105,7 @@ class Session:
 
     def close(self) -> None:
         """End the odometry's threads."""
-        self._pipeline.finish()
+        self._odometry.finish()
 
     def latency_ms(self, percent: float) -> float | None:
         """Percentile of the time from a pair's arrival to its odometry, None without a frame."""
@@ -129,15 +129,15 @@ class Session:
         self._say(f"{why}: starting again, in a new segment")
         self.counts["restarts"] += 1
         self._first = self._free
-        self._pipeline.finish()
-        self._pipeline = self._make_pipeline()
+        self._odometry.finish()
+        self._odometry = self._make_odometry()
         self._trails = Trails()
         self._newest_ns = None
         self._said_s.pop("start", None)
 
     def _results(self, event: Event) -> Iterator[FrameResult]:
         """The results of an event, with segments and ids that no earlier odometry has used."""
-        for result in self._pipeline.add(event):
+        for result in self._odometry.add(event):
             stamp = result.timestamp_ns
             if not np.all(np.isfinite(result.ego.T_world_imu)):
                 raise OvmotError(f"the pose at {stamp} ns is not finite")
@@ -162,7 +162,7 @@ class Session:
             return
         if sample.timestamp_ns - newest > _CARRY_NS:
             return
-        ego = self._pipeline.latest()
+        ego = self._odometry.latest()
         if ego is not None:
             self._sink.send(Published(IMU_ODOMETRY, odometry(ego, self._names)))
 
@@ -173,10 +173,10 @@ class Session:
             self._sink.send(overlay_message(result.timestamp_ns, overlay, self._names))
 
     def _say_why_not_started(self) -> None:
-        if not self._pipeline.started:
+        if not self._odometry.started:
             self.counts["before_start"] += 1
             self._said_s.setdefault("start", time.monotonic())  # a quick start needs no words
-            why = self._pipeline.not_started_because or "no frame is covered by the IMU"
+            why = self._odometry.not_started_because or "no frame is covered by the IMU"
             self._say_seldom("start", f"no start yet: {why}")
 
     def _say_seldom(self, subject: str, line: str) -> None:
