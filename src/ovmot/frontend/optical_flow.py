@@ -60,18 +60,17 @@ def recover_lost(
     settings: TrackerSettings,
     workers: Executor,
     *,
-    probability: float = 0.9,
-    ratio: float = 2.0,
+    probability: float = 0.95,
 ) -> Flow:
     """The flow, with lost points searched again: near `starts` (H, N, 2), then far `around` (N, 2).
 
     The starts come in order of trust, NaN for none; around the last positions the whole pyramid is
     searched. A repeated search finds something wherever it looks, so that its photometric residual
-    must be at most `ratio` times that which the first search stays below with this `probability`.
+    must be one that the first search stays below with this `probability`.
     """
     if not flow.found.any():
         return flow
-    bound = ratio * float(np.quantile(flow.photometric_residual[flow.found], probability))
+    bound = float(np.quantile(flow.photometric_residual[flow.found], probability))
     uv, found, residual = flow.uv.copy(), flow.found.copy(), flow.photometric_residual.copy()
     levels = [near_levels(settings)] * len(starts) + [settings.klt_levels]
     for start, n_levels in zip((*starts, around), levels, strict=True):
