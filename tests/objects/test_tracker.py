@@ -17,7 +17,6 @@ from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack, PointLabel, ScenePoints
 
 FRAME_NS = 100_000_000
-REST_MPS = 0.15
 R_WORLD_CAM = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 T_WORLD_CAM0 = se3.make(R_WORLD_CAM, np.array([0.0, 0.0, 1.6]))
 SIZE = np.array([4.0, 1.8, 1.5])
@@ -104,7 +103,7 @@ def run(
     bodies: Sequence[Body], seconds: float, seed: int = 0, frame_ns: int = FRAME_NS
 ) -> list[tuple[float, tuple[ObjectTrack, ...], IntArray]]:
     rng = np.random.default_rng(seed)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     out = []
     for k in range(round(1e9 * seconds / frame_ns)):
         t = 1e-9 * k * frame_ns
@@ -176,7 +175,7 @@ def test_an_occluded_body_keeps_its_id() -> None:
     hidden = body(10.0, -8.0, 0.5, 6.0, hidden_s=(1.0, 2.5))
     after = replace(hidden, first_id=100)  # what comes back has new features
     rng = np.random.default_rng(3)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     states = []
     for k in range(40):
         t = 0.1 * k
@@ -214,7 +213,7 @@ def test_the_box_of_an_unseen_body_ends_with_the_picture() -> None:
 
 def test_a_body_that_has_left_is_not_found_again_by_a_few_features() -> None:
     rng = np.random.default_rng(7)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     leaves = body(10.0, 2.0, 0.0, 8.0)
     other = body(10.0, 16.0, 0.0, 6.5, 500)
     for k in range(22):
@@ -238,7 +237,7 @@ def test_features_of_one_camera_go_on_with_a_body(
     rng = np.random.default_rng(5)
     monkeypatch.setattr(output, "_MISSED_S", -1.0)
     monkeypatch.setattr(output, "_KNOWN_SIGMA_M", 0.0)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     walker = body(10.0, -2.0, 0.0, 1.5)
     for k in range(20):
         t = 0.1 * k
@@ -260,7 +259,7 @@ def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray(
     rng = np.random.default_rng(5)
     monkeypatch.setattr(output, "_MISSED_S", -1.0)
     monkeypatch.setattr(output, "_KNOWN_SIGMA_M", 0.0)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     ahead = body(15.0, 0.0, 5.0, 0.0, stops_at_s=0.9)
     for k in range(20):
         t = 0.1 * k
@@ -275,7 +274,7 @@ def test_features_of_one_camera_do_not_go_on_with_a_body_along_the_ray(
 
 def test_features_left_behind_do_not_stop_a_fast_body() -> None:
     rng = np.random.default_rng(6)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     car = body(15.0, 0.0, 0.0, 5.0)
     for k in range(16):
         now = min(0.1 * k, 1.0)  # from then on its features stay where they are
@@ -310,7 +309,7 @@ def _few(measurement: ObjectMeasurement) -> ObjectMeasurement:
 
 def test_few_features_measured_once_are_never_confirmed() -> None:
     rng = np.random.default_rng(5)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     for k in range(30):
         found = []
         if k % 4 == 0:
@@ -327,7 +326,7 @@ def test_two_tracks_on_one_body_become_one() -> None:
     rng = np.random.default_rng(6)
     whole = body(12.0, 0.0, 8.0, 0.0)
     front = replace(whole, start=whole.start + np.array([1.0, 0.0, 0.0]), first_id=50)
-    tracker = ObjectTracker(small_rig(), ObjectTrackSettings(), REST_MPS)
+    tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
     counts = []
     for k in range(25):
         t = 0.1 * k

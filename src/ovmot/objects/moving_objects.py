@@ -41,8 +41,7 @@ class MovingObjects:
     def __init__(self, rig: StereoRig, settings: Settings) -> None:
         self._settings = settings.objects
         self._of_points = settings.segmentation
-        rest_speed_mps = settings.segmentation.forgiven_speed_mps
-        self._tracker = ObjectTracker(rig, settings.object_tracks, rest_speed_mps)
+        self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
 
     def step(

@@ -34,17 +34,11 @@ _LOST_M = 1.0  # standard deviation of a lost track's position
 
 
 class ObjectTracker:
-    """Keeps the tracks, and the next id: ids are never used again.
+    """Keeps the tracks, and the next id: ids are never used again."""
 
-    `rest_speed_mps`: standard deviation of the drift of points at rest, m/s.
-    """
-
-    def __init__(
-        self, rig: StereoRig, settings: ObjectTrackSettings, rest_speed_mps: float
-    ) -> None:
+    def __init__(self, rig: StereoRig, settings: ObjectTrackSettings) -> None:
         self._rig = rig
         self._settings = settings
-        self._rest_speed_mps = rest_speed_mps
         self._tracks: tuple[Track, ...] = ()
         self._history = FeatureHistory()
         self._next_id = 0
@@ -86,9 +80,7 @@ class ObjectTracker:
             for t in self._tracks
         )
         before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)
-        return output, label_points(
-            timestamp_ns, points, track_id, self._tracks, motions, before, self._rest_speed_mps
-        )
+        return output, label_points(timestamp_ns, points, track_id, self._tracks, motions, before)
 
     def _feature_motions(
         self,
