@@ -39,8 +39,8 @@ def dots() -> Image:
 
 def detect(image: Image, existing: FloatArray, n_wanted: int) -> FloatArray:
     """New corners (M, 2) of an image."""
-    points, response = fast_corners(image, 15, BORDER_PX)
-    return choose_corners(points, response, existing, n_wanted, SPREAD, image.shape)
+    corners = fast_corners(image, 15, BORDER_PX)
+    return choose_corners(corners, existing, n_wanted, SPREAD, image.shape)
 
 
 def nearest(points: FloatArray, others: FloatArray) -> FloatArray:

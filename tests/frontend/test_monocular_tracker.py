@@ -10,9 +10,8 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
 from ovmot.frontend import FRONT_ENDS, ImageFrontEnd, klt_tracker
+from ovmot.frontend.feature_search import Found, Sought, find_features
 from ovmot.frontend.monocular_tracker import MonocularTracker
-from ovmot.frontend.optical_flow import Flow, track_points
-from ovmot.frontend.preprocessing import Pyramid
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
@@ -113,14 +112,12 @@ def test_the_search_goes_on_from_two_views_and_the_motion(
     """With the motion predicted, the third frame's search starts at the points; in both cameras."""
     misses: list[FloatArray] = []
 
-    def spy(
-        source: Pyramid, target: Pyramid, points: FloatArray, start: FloatArray, *rest: object
-    ) -> Flow:
-        flow = track_points(source, target, points, start, *rest)  # type: ignore[arg-type]
-        misses.append(np.linalg.norm(start - flow.uv, axis=1)[flow.found])
-        return flow
+    def spy(sought: Sought, view: View, start: FloatArray, *rest: object) -> Found:
+        now = find_features(sought, view, start, *rest)  # type: ignore[arg-type]
+        misses.append(np.linalg.norm(start - now.uv, axis=1)[now.found])
+        return now
 
-    monkeypatch.setattr(klt_tracker, "track_points", spy)
+    monkeypatch.setattr(klt_tracker, "find_features", spy)
     drive(tracker_of(painted_rig, "each"), painted_rig, painted_pair, n=3)
     _, _, left, right = misses
     assert np.median(misses[0]) > 3.0  # the first time nothing is known

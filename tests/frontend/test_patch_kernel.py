@@ -1,15 +1,18 @@
-"""The compiled alignment equals its plain NumPy twin."""
+"""The compiled work on patches equals its plain NumPy twins."""
 
 import cv2
 import numpy as np
 
-from ovmot.frontend.patch_kernel import align_points, align_points_compiled
-from ovmot.frontend.patches import Patches, cut_patches
-from ovmot.frontend.preprocessing import smoothed
-from ovmot.geometry.arrays import AnyArray, FloatArray, Image
+from ovmot.frontend.feature_kernel import ALIGNED, find_features_compiled
+from ovmot.frontend.feature_search import MIN_CORRELATION
+from ovmot.frontend.patches import PatchStore
+from ovmot.frontend.preprocessing import build_pyramid, smoothed
+from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
+from ovmot.settings import TrackerSettings
 
+SETTINGS = TrackerSettings()
 STEPS, SMALL, FAR = 8, 0.02, 3.0
-RADIUS = 6
+RADIUS, PIXELS = 6, 169
 OFFSETS = np.indices((13, 13), dtype=np.float32)[::-1].reshape(2, -1) - RADIUS
 ROOT_WEIGHT = np.exp(
     -0.25 * np.add.outer(np.arange(-6.0, 7.0) ** 2, np.arange(-6.0, 7.0) ** 2).ravel() / 9.0
@@ -23,56 +26,90 @@ def painted(seed: int) -> Image:
 
 
 def twin(
-    image: AnyArray, patches: Patches, start: FloatArray
+    image: AnyArray, store: PatchStore, slot: IntArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """All points at once, in NumPy."""
     axis = np.arange(-RADIUS, RADIUS + 1, dtype=np.float64)
     offsets = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    uv, warp = start.copy(), patches.warp.copy()
+    uv, warp = start.copy(), store.warp[slot]
+    all_grey, all_steepest = store.grey[slot, :PIXELS], store.steepest[slot, :, :PIXELS]
     correlation, going = np.zeros(len(uv)), np.arange(len(uv))
     weight = (ROOT_WEIGHT.astype(np.float64) ** 2) / (ROOT_WEIGHT.astype(np.float64) ** 2).sum()
     for _ in range(STEPS):
-        where = uv[going, None] + offsets @ np.swapaxes(warp[going], 1, 2)
-        where = np.clip(where, 0.0, np.array(image.shape[::-1]) - 1.0)
-        corner = np.minimum(where.astype(int), np.array(image.shape[::-1]) - 2)
-        a, b = np.moveaxis(where - corner, -1, 0)
-        u, v = np.moveaxis(corner, -1, 0)
-        grey = image.astype(np.float64)
-        above = (1 - a) * grey[v, u] + a * grey[v, u + 1]
-        below = (1 - a) * grey[v + 1, u] + a * grey[v + 1, u + 1]
-        seen = (1 - b) * above + b * below
+        seen = sampled(image, uv[going, None] + offsets @ np.swapaxes(warp[going], 1, 2))
         seen = (seen - (seen * weight).sum(1, keepdims=True)) * ROOT_WEIGHT
         seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-3)
-        error = seen - patches.grey[going]
+        error = seen - all_grey[going]
         correlation[going] = 1.0 - 0.5 * (error**2).sum(1)
-        step = np.einsum("nij,njm,nm->ni", patches.inverse[going], patches.steepest[going], error)
+        step = np.einsum("nij,njm,nm->ni", store.inverse[slot[going]], all_steepest[going], error)
         change = np.eye(2) + step[:, 2:].reshape(-1, 2, 2) / RADIUS
         warp[going] = warp[going] @ np.linalg.inv(change)
         uv[going] -= (warp[going] @ step[:, :2, None])[..., 0]
         near = np.linalg.norm(uv[going] - start[going], axis=1) < FAR
+        correlation[going[~near]] = 0.0
         going = going[near & (np.abs(step).max(axis=1) > SMALL)]
     return uv, warp, correlation
 
 
-def test_compiled_and_plain_code_agree_with_the_twin() -> None:
+def test_the_compiled_alignment_agrees_with_the_twin() -> None:
     source = smoothed(painted(1))
-    target = smoothed(np.roll(painted(1), (1, 2), axis=(0, 1)))
-    rng = np.random.default_rng(3)
-    points = rng.uniform([2.0, 2.0], [157.0, 117.0], (40, 2))  # some at the border
-    points[7] = np.nan
-    patches = cut_patches(source, np.nan_to_num(points, nan=50.0))
+    target_image = np.roll(painted(1), (1, 2), axis=(0, 1))
+    target = smoothed(target_image)
+    points = np.random.default_rng(3).uniform(
+        [2.0, 2.0], [157.0, 117.0], (40, 2)
+    )  # some at the border
     start = points + np.array([1.4, 0.7])
-    known = np.isfinite(start[:, 0])
-    expected = twin(target, patches.rows(known), start[known])
-    for function in (align_points, align_points_compiled):
-        uv, warp = start.copy(), patches.warp.copy()
-        correlation = function(
-            target, patches.grey, patches.steepest, patches.inverse, ROOT_WEIGHT, OFFSETS,
-            uv, warp, STEPS, SMALL, FAR,
-        )  # fmt: skip
-        assert np.isnan(uv[7]).all()
-        assert correlation[7] == 0.0
-        np.testing.assert_allclose(uv[known], expected[0], atol=1e-4)
-        np.testing.assert_allclose(warp[known], expected[1], atol=1e-4)
-        np.testing.assert_allclose(correlation[known], expected[2], atol=1e-4)
-    assert (expected[2] > 0.9).mean() > 0.5
+    store = PatchStore()
+    slot = store.add(source, points)
+    expected = twin(target, store, slot, start)
+    levels, no_flow = build_pyramid(target_image, SETTINGS).levels, 0
+    uv, warp, state = find_features_compiled(
+        levels, levels, target, SETTINGS.klt_window_px, store.grey, store.steepest, store.inverse,
+        slot, points, start, store.warp[slot], no_flow, MIN_CORRELATION, STEPS, SMALL,
+    )  # fmt: skip
+    fits = state == ALIGNED
+    clear = np.abs(expected[2] - MIN_CORRELATION) > 1e-3
+    np.testing.assert_array_equal(fits[clear], expected[2][clear] > MIN_CORRELATION)
+    np.testing.assert_allclose(uv[fits], expected[0][fits], atol=1e-4)
+    np.testing.assert_allclose(warp[fits], expected[1][fits], atol=1e-4)
+    assert fits.mean() > 0.5
+
+
+def sampled(image: AnyArray, uv: FloatArray) -> FloatArray:
+    """Bilinear grey levels at pixels (..., 2), the image continued by its border."""
+    where = np.clip(uv, 0.0, np.array(image.shape[::-1]) - 1.0)
+    corner = np.minimum(where.astype(int), np.array(image.shape[::-1]) - 2)
+    a, b = np.moveaxis(where - corner, -1, 0)
+    u, v = np.moveaxis(corner, -1, 0)
+    grey = image.astype(np.float64)
+    above = (1 - a) * grey[v, u] + a * grey[v, u + 1]
+    below = (1 - a) * grey[v + 1, u] + a * grey[v + 1, u + 1]
+    return np.asarray((1 - b) * above + b * below)
+
+
+def test_a_cut_patch_is_that_of_the_twin() -> None:
+    image = smoothed(painted(1))
+    points = np.random.default_rng(5).uniform([1.0, 1.0], [158.0, 118.0], (25, 2))
+    store = PatchStore()
+    slot = store.add(image, points)
+    weight = ROOT_WEIGHT.astype(np.float64) ** 2
+    weight /= weight.sum()
+    offset = OFFSETS.T.astype(np.float64)
+    for n, uv in enumerate(points):
+        grey = sampled(image, uv + offset)
+        by_u = 0.5 * (sampled(image, uv + offset + [1, 0]) - sampled(image, uv + offset - [1, 0]))
+        by_v = 0.5 * (sampled(image, uv + offset + [0, 1]) - sampled(image, uv + offset - [0, 1]))
+        x, y = offset.T / RADIUS
+        steepest = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y])
+        unit = ROOT_WEIGHT * (grey - grey @ weight)
+        norm = np.linalg.norm(unit)
+        unit /= norm
+        steepest = ROOT_WEIGHT * (steepest - (steepest @ weight)[:, None]) / norm
+        steepest -= np.outer(steepest @ unit, unit)
+        H = steepest @ steepest.T
+        H += np.eye(6) * (1e-3 * np.trace(H) / 6.0 + 1e-9)
+        np.testing.assert_allclose(store.grey[slot[n], :PIXELS], unit, atol=1e-4)
+        np.testing.assert_allclose(store.steepest[slot[n], :, :PIXELS], steepest, atol=1e-4)
+        scale = np.abs(np.linalg.inv(H)).max()
+        np.testing.assert_allclose(store.inverse[slot[n]], np.linalg.inv(H), atol=1e-3 * scale)
+        assert not store.grey[slot[n], PIXELS:].any()

@@ -7,9 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.frontend.patches import align, cut_patches, no_patches, refine_tracked
-from ovmot.frontend.preprocessing import smoothed
+from ovmot.cameras.camera import Camera
+from ovmot.frontend.feature_search import Found, Sought, find_features
+from ovmot.frontend.patches import PatchStore, is_rescaled
+from ovmot.frontend.preprocessing import View, build_pyramid, smoothed
 from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.settings import TrackerSettings
+
+SETTINGS = TrackerSettings()
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +38,23 @@ def grid() -> FloatArray:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
+def found(
+    source: Image,
+    target: Image,
+    points: FloatArray,
+    start: FloatArray,
+    workers: ThreadPoolExecutor,
+    n_levels: int = 3,
+) -> Found:
+    """The points of one image in another one; by their patches alone with no level of flow."""
+    store = PatchStore()
+    slot = store.add(smoothed(source), points)
+    sought = Sought(build_pyramid(source, SETTINGS), points, store, slot)
+    camera = Camera.make((320, 240), (300.0, 300.0), (160.0, 120.0))
+    view = View(target, build_pyramid(target, SETTINGS), smoothed(target), None, camera)
+    return find_features(sought, view, start, n_levels, workers)
+
+
 @pytest.mark.parametrize(
     "warp", [np.eye(2), np.array([[1.1, 0.05], [-0.04, 0.95]]), np.array([[0.9, -0.1], [0.1, 0.9]])]
 )
@@ -46,23 +68,19 @@ def test_an_affine_warp_and_a_gain_are_found(warp: FloatArray, workers: ThreadPo
         np.float64,
     )
     source, target = painted(grey), painted(128.0 + 0.6 * (warped - 128.0) + 12.0)
-    patches = cut_patches(smoothed(source), points)
     truth = (points - middle) @ warp.T + middle + shift
     start = truth + np.random.default_rng(2).uniform(-0.8, 0.8, truth.shape)
-    uv, found, fits = align(patches, smoothed(target), start, patches.warp, workers)
-    assert fits.mean() > 0.95
-    off = np.linalg.norm(uv - truth, axis=1)[fits]
+    now = found(source, target, points, start, workers)
+    assert now.fits.mean() > 0.95
+    off = np.linalg.norm(now.uv - truth, axis=1)[now.fits]
     assert np.median(off) < 0.08  # a bilinear sample between pixels is a little soft
     assert np.quantile(off, 0.9) < 0.12
-    np.testing.assert_allclose(np.median(found[fits], axis=0), warp, atol=0.01)
+    np.testing.assert_allclose(np.median(now.warp[now.fits], axis=0), warp, atol=0.01)
 
 
 def test_what_is_not_there_does_not_fit(workers: ThreadPoolExecutor) -> None:
-    points = grid()
-    patches = cut_patches(smoothed(painted(texture(1))), points)
-    other = smoothed(painted(texture(5)))
-    _, _, fits = align(patches, other, points, patches.warp, workers)
-    assert fits.mean() < 0.05
+    source, other = painted(texture(1)), painted(texture(5))
+    assert found(source, other, grid(), grid(), workers, n_levels=0).fits.mean() < 0.05
 
 
 def test_the_border_of_a_patch_does_not_drag_its_centre(workers: ThreadPoolExecutor) -> None:
@@ -72,38 +90,53 @@ def test_the_border_of_a_patch_does_not_drag_its_centre(workers: ThreadPoolExecu
     before, after = still.copy(), still.copy()
     before[:, 104:] = moving[:, 104:]
     after[:, 104:] = np.roll(moving, 2, axis=0)[:, 104:]
-    patches = cut_patches(smoothed(painted(before)), points)
-    uv, _, fits = align(patches, smoothed(painted(after)), points, patches.warp, workers)
-    off = np.linalg.norm(uv - points, axis=1)
-    assert (~fits | (off < 0.6)).mean() > 0.85
-    assert np.median(off[fits]) < 0.3
+    now = found(painted(before), painted(after), points, points, workers)
+    off = np.linalg.norm(now.uv - points, axis=1)
+    assert (~now.fits | (off < 0.6)).mean() > 0.85
+    assert np.median(off[now.fits]) < 0.3
 
 
-def test_a_patch_that_fits_no_more_is_taken_anew(workers: ThreadPoolExecutor) -> None:
-    points = grid()
-    patches = cut_patches(smoothed(painted(texture(1))), points)
-    other = smoothed(painted(texture(5)))
-    _, _, fits = align(patches, other, points, patches.warp, workers)
-    uv, renewed = refine_tracked(patches, other, points, workers)
-    assert fits.mean() < 0.05
-    np.testing.assert_array_equal(uv[~fits], points[~fits])
-    np.testing.assert_array_equal(renewed.grey[~fits], cut_patches(other, points[~fits]).grey)
+def test_slots_are_kept_freed_and_given_again() -> None:
+    image, points = smoothed(painted(texture(1))), grid()
+    store = PatchStore()
+    first = store.add(image, points[:10])
+    second = store.add(image, points[10:40])
+    assert len(np.intersect1d(first, second)) == 0
+    grey = store.grey[second].copy()
+    store.keep(second)
+    third = store.add(image, points[40:])
+    assert len(np.intersect1d(second, third)) == 0
+    assert len(np.intersect1d(first, third)) == 10
+    np.testing.assert_array_equal(store.grey[second], grey)
+
+
+def test_a_renewed_patch_is_that_of_a_new_feature() -> None:
+    image, other, points = smoothed(painted(texture(1))), smoothed(painted(texture(5))), grid()
+    renewed, new = PatchStore(), PatchStore()
+    slot = renewed.add(image, points)
+    renewed.warp[slot] = 2.0 * np.eye(2)
+    renewed.renew(other, points, slot)
+    anew = new.add(other, points)
+    np.testing.assert_array_equal(renewed.grey[slot], new.grey[anew])
+    np.testing.assert_array_equal(renewed.warp[slot], np.broadcast_to(np.eye(2), (len(slot), 2, 2)))
+
+
+def test_a_patch_is_rescaled_along_any_direction() -> None:
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    warps = [np.eye(2), turn, turn @ np.diag([1.0, 1.8]), turn @ np.diag([0.55, 1.0]) @ turn.T]
+    np.testing.assert_array_equal(is_rescaled(np.array(warps)), [False, False, True, True])
 
 
 def test_the_answer_does_not_depend_on_the_company(workers: ThreadPoolExecutor) -> None:
-    source, target = smoothed(painted(texture(1))), smoothed(painted(np.roll(texture(1), 1, 1)))
+    source, target = painted(texture(1)), painted(np.roll(texture(1), 1, 1))
     points = grid()
-    patches = cut_patches(source, points)
-    together, _, _ = align(patches, target, points, patches.warp, workers)
+    together = found(source, target, points, points, workers)
     for i in (0, 31, 62):
-        one = patches.rows(np.array([i]))
-        alone, _, _ = align(one, target, points[i : i + 1], one.warp, workers)
-        np.testing.assert_array_equal(alone[0], together[i])
+        alone = found(source, target, points[i : i + 1], points[i : i + 1], workers)
+        np.testing.assert_array_equal(alone.uv[0], together.uv[i])
 
 
 def test_no_patches(workers: ThreadPoolExecutor) -> None:
-    nothing = no_patches()
-    uv, warp, fits = align(
-        nothing, smoothed(painted(texture(1))), np.empty((0, 2)), nothing.warp, workers
-    )
-    assert (uv.shape, warp.shape, fits.shape) == ((0, 2), (0, 2, 2), (0,))
+    nothing = np.empty((0, 2))
+    now = found(painted(texture(1)), painted(texture(1)), nothing, nothing, workers)
+    assert (now.uv.shape, now.warp.shape, now.fits.shape) == ((0, 2), (0, 2, 2), (0,))

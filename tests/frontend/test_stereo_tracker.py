@@ -10,8 +10,8 @@ import pytest
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend import klt_tracker, stereo_tracker
-from ovmot.frontend.optical_flow import track_points
-from ovmot.frontend.preprocessing import Pyramid, build_pyramid
+from ovmot.frontend.feature_search import Found, Sought, find_features
+from ovmot.frontend.preprocessing import build_pyramid
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -277,20 +277,19 @@ def test_a_rejected_match_gives_no_depth_to_the_next_frame(
 def test_wrong_matches_of_any_kind_are_rejected(
     painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The flow into the right image itself gives wrong points: every fifth one, 9 px off."""
+    """The search in the right image itself gives wrong points: every fifth one, 9 px off."""
     frames = [painted_pair(10**8 * i, STEP_M * i) for i in range(4)]
     rights = [build_pyramid(frame.right, TRACKER).levels[0] for frame in frames]
 
     def lying(
-        source: Pyramid, target: Pyramid, points: FloatArray, start: FloatArray,
-        settings: TrackerSettings, workers: ThreadPoolExecutor,
-    ) -> object:  # fmt: skip
-        flow = track_points(source, target, points, start, settings, workers)
-        if any(np.array_equal(target.levels[0], right) for right in rights):
-            flow.uv[::5, 1] += 9.0
-        return flow
+        sought: Sought, view: View, start: FloatArray, n_levels: int, workers: ThreadPoolExecutor
+    ) -> Found:
+        now = find_features(sought, view, start, n_levels, workers)
+        if any(np.array_equal(view.pyramid.levels[0], right) for right in rights):
+            now.uv[::5, 1] += 9.0
+        return now
 
-    monkeypatch.setattr(stereo_tracker, "track_points", lying)
+    monkeypatch.setattr(stereo_tracker, "find_features", lying)
     with tracker_of(painted_rig) as tracker:
         for i, frame in enumerate(frames):
             seen, matches = tracker.track(

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ovmot.cameras.camera import Camera
 from ovmot.frontend.preprocessing import inside_mask
-from ovmot.frontend.spread_kernel import take_apart_compiled
-from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.frontend.spread_kernel import spread_corners_compiled
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.physics import MAX_VEHICLE_SIZE_M
 from ovmot.settings import TrackerSettings
 from ovmot.types import PointLabel, ScenePoints
@@ -40,9 +39,7 @@ def new_corners(
     the image. All lengths follow from the fine cell, and so scale with the image.
     """
     shape, cell_px = image.shape, fine_cell_px(image.shape, settings)
-    corners, response = fast_corners(
-        image, settings.fast_threshold, settings.klt_window_px // 2, mask
-    )
+    corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, mask)
     within, has = inside_mask(corners, focus), inside_mask(existing, focus)
     even = even_spread(settings.max_features, cell_px, shape)
     dense = Spread(cell_px / 4.0, cell_px, 4 * 4)
@@ -53,7 +50,7 @@ def new_corners(
         (len(corners), ~within, Spread(even.distance_px, cell_px, 1)),
         (settings.focus_features - int(has.sum()), within, dense),
     ):
-        new = choose_corners(corners[chosen], response[chosen], taken, n_most, spread, shape)
+        new = choose_corners(corners[chosen], taken, n_most, spread, shape)
         taken = np.concatenate([taken, new])
     return taken[len(existing) :]
 
@@ -112,8 +109,8 @@ def focus_mask(
 
 def fast_corners(
     image: Image, threshold: int, border_px: int, mask: Image | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """All corners (M, 2) of an image and their strength (M,).
+) -> FloatArray:
+    """All corners (M, 2) of an image, the strongest first.
 
     None where `mask` is not zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
     T. Drummond, ECCV 2006), `threshold` in grey levels.
@@ -121,78 +118,34 @@ def fast_corners(
     detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
     keypoints = detector.detect(image, None if mask is None else (mask == 0).astype(np.uint8))
     if not keypoints:
-        return np.empty((0, 2)), np.empty(0)
+        return np.empty((0, 2))
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
-    response = np.array([k.response for k in keypoints])
+    response = np.fromiter((k.response for k in keypoints), np.float64, len(keypoints))
+    points = points[np.argsort(-response, kind="stable")]
     height, width = image.shape
     inside = (
         (points[:, 0] >= border_px) & (points[:, 0] < width - border_px)
         & (points[:, 1] >= border_px) & (points[:, 1] < height - border_px)
     )  # fmt: skip
-    return points[inside], response[inside]
+    return points[inside]
 
 
 def choose_corners(
-    points: FloatArray,
-    response: FloatArray,
+    corners: FloatArray,
     existing: FloatArray,
     n_wanted: int,
     spread: Spread,
     shape: tuple[int, ...],
 ) -> FloatArray:
-    """Of corners (M, 2), up to `n_wanted` (K, 2), the strongest first.
+    """Of corners (M, 2), the strongest first, up to `n_wanted` (K, 2).
 
     They are spread, together with the `existing` ones (N, 2), as is asked for.
     """
-    if n_wanted <= 0 or len(points) == 0:
+    if n_wanted <= 0 or len(corners) == 0:
         return np.empty((0, 2))
     height, width = shape[:2]
-    points = _best_of_each_bin(points, response, spread.distance_px, width)
-    return _spread(points, existing, n_wanted, (width, height), spread)
-
-
-def _best_of_each_bin(
-    points: FloatArray, response: FloatArray, side: float, width: int
-) -> FloatArray:
-    """The strongest corner of each bin of `side` pixels, strongest first."""
-    order = np.argsort(-response, kind="stable")
-    points = points[order]
-    bins = (points // side).astype(np.int64)
-    _, first = np.unique(bins[:, 1] * (width + 1) + bins[:, 0], return_index=True)
-    strongest: FloatArray = points[np.sort(first)]
-    return strongest
-
-
-def _spread(
-    points: FloatArray,
-    existing: FloatArray,
-    n_wanted: int,
-    size: tuple[int, int],
-    spread: Spread,
-) -> FloatArray:
-    """Take corners in order while their cell has room and no taken one is too near."""
-    distance = spread.distance_px
-    if len(existing):
-        apart, _ = cKDTree(existing).query(points)
-        points = points[apart >= distance]
-    cells, room = _cells_and_room(points, existing, size, spread)
-    points, cells = points[room[cells] > 0], cells[room[cells] > 0]
-    if len(points) == 0:
-        return points
-    return points[take_apart_compiled(points, cells, room, n_wanted, distance)]
-
-
-def _cells_and_room(
-    points: FloatArray, existing: FloatArray, size: tuple[int, int], spread: Spread
-) -> tuple[IntArray, IntArray]:
-    """Grid cell (N,) of each point, and how many corners each cell may still take."""
-    side = spread.cell_px
-    columns, rows = -(-size[0] // side), -(-size[1] // side)
-
-    def cell_of(uv: FloatArray) -> IntArray:
-        column = np.clip(uv[:, 0].astype(np.int64) // side, 0, columns - 1)
-        row = np.clip(uv[:, 1].astype(np.int64) // side, 0, rows - 1)
-        return row * columns + column
-
-    filled = np.bincount(cell_of(existing), minlength=rows * columns)
-    return cell_of(points), spread.per_cell - filled
+    chosen = spread_corners_compiled(
+        corners, existing, n_wanted,
+        spread.distance_px, spread.cell_px, spread.per_cell, width, height,
+    )  # fmt: skip
+    return corners[chosen]

@@ -1,10 +1,10 @@
-"""The compiled search of pyramidal Lucas-Kanade flow, forward and backward, point by point.
+"""Compiled pyramidal Lucas-Kanade flow of single points, forward and backward.
 
 J.-Y. Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker", 2000, with OpenCV's
 criteria to stop and to reject. OpenCV's own function takes no pyramids from Python: it builds those
 of both images at each of the many calls of a frame, and that costs more than the search.
 
-It holds no Python lock. `tests/frontend/test_klt_kernel.py` holds it against OpenCV.
+Called by kernels only. `tests/frontend/test_klt_kernel.py` holds it against OpenCV.
 
 Windows are kept as rows of `side + 3` pixels in one line of numbers: a loop over all of them runs
 in SIMD lanes, where one per row would be too short. In the columns beyond the window the
@@ -12,13 +12,11 @@ derivatives are zero.
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.kernels.cache import code_folder, compiled, reordered_part
+from ovmot.kernels.cache import part, reordered_part
 
 MAX_STEPS = 20
 """Steps of one level at most, as in OpenCV's sample program `lkdemo`."""
@@ -113,16 +111,6 @@ def _mismatch(
 
 
 @reordered_part
-def _photometric_residual(seen: _Float32, wide: _Float32, side: int, stride: int) -> float:
-    """Mean absolute difference between what is seen and the window inside the wide one."""
-    total = 0.0
-    for i in range(side):
-        for j in range(side):
-            total += abs(seen[i * stride + j] - wide[(i + 1) * stride + j + 1])
-    return total / (side * side)
-
-
-@reordered_part
 def _take_window(
     image: _Float32, left: int, top: int, a: float, b: float,
     side: int, border: tuple[int, int, int, int], room: _Float32,
@@ -179,18 +167,15 @@ def _descend(
 
 
 @reordered_part
-def _search(
+def search_flow(
     source: _Images, target: _Images, n_levels: int, side: int, room: _Float32,
     u0: float, v0: float, u1: float, v1: float,
-) -> tuple[float, float, bool, float]:  # fmt: skip
-    """Position in the target of (u0, v0) of the source, found from (u1, v1); whether it is found;
-    the photometric residual there.
+) -> tuple[float, float, bool]:  # fmt: skip
+    """Position in the target of (u0, v0) of the source, found from (u1, v1); whether it is found.
 
     `room` (5, (side + 4)² + LANES): memory to work in, zero at first.
     """
-    block, wide, seen = room[0], room[1], room[2]
-    margin, stride, half, usable = side + 2, side + 3, 0.5 * (side - 1), False
-    lanes = -(-side * stride // LANES) * LANES
+    margin, half, usable = side + 2, 0.5 * (side - 1), False
     scale = 0.5 ** (n_levels - 1)
     u, v = u1 * scale, v1 * scale
     for level in range(n_levels - 1, -1, -1):
@@ -215,11 +200,7 @@ def _search(
         u, v = _descend(target[level], side, room, u, v, uu, uv, vv)
     x, y = u - half, v - half
     left, top = math.floor(x), math.floor(y)
-    if not (usable and -side <= left < width and -side <= top < height):
-        return u, v, False, 0.0
-    _copy_rows(target[0], left + margin, top + margin, side + 1, stride, block)
-    _interpolate(block, lanes, stride, x - left, y - top, seen)
-    return u, v, True, _photometric_residual(seen, wide, side, stride)
+    return u, v, usable and -side <= left < width and -side <= top < height
 
 
 def margin_of(side: int) -> int:
@@ -227,34 +208,21 @@ def margin_of(side: int) -> int:
     return side + 2
 
 
-def klt_track(
-    source: _Images,
-    target: _Images,
-    side: int,
-    points: FloatArray,
-    start: FloatArray,
-    n_levels: int,
-) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Where `points` (N, 2) of the source are in the target, by a search from `start` (N, 2).
+@part
+def flow_there_and_back(
+    source: _Images, target: _Images, n_levels: int, side: int, room: _Float32,
+    u0: float, v0: float, u1: float, v1: float,
+) -> tuple[float, float, bool]:  # fmt: skip
+    """Position in the target of (u0, v0) of the source, found from (u1, v1); whether it is found.
+
+    It is where the search back from there ends where it began (Z. Kalal et al., ICPR 2010).
 
     `source`, `target`: pyramids, from fine to coarse, each level padded by `margin_of(side)` on all
-    sides; `side` of the window in pixels. Returns positions (N, 2) in pixels, which are found (N,)
-    and photometric residuals (N,) in grey levels, as in `optical_flow.Flow`.
+    sides; `side` of the window in pixels.
     """
-    n = len(points)
-    uv, found, photometric_residual = start.copy(), np.zeros(n, dtype=np.bool_), np.zeros(n)
-    room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
-    for i in range(n):
-        u0, v0 = points[i]
-        u, v, ok, residual = _search(
-            source, target, n_levels, side, room, u0, v0, start[i, 0], start[i, 1]
-        )
-        uv[i, 0], uv[i, 1], photometric_residual[i] = u, v, residual
-        if ok:
-            back_levels = min(BACK_LEVELS, len(source))
-            u, v, ok, _ = _search(target, source, back_levels, side, room, u, v, u0, v0)
-            found[i] = ok and math.hypot(u - u0, v - v0) < MAX_ROUND_TRIP_PX
-    return uv, found, photometric_residual
-
-
-klt_track_compiled = compiled(klt_track, code_folder(Path(__file__)))
+    u, v, ok = search_flow(source, target, n_levels, side, room, u0, v0, u1, v1)
+    if not ok:
+        return u, v, False
+    back_levels = min(BACK_LEVELS, len(source))
+    back_u, back_v, ok = search_flow(target, source, back_levels, side, room, u, v, u0, v0)
+    return u, v, ok and math.hypot(back_u - u0, back_v - v0) < MAX_ROUND_TRIP_PX

@@ -7,8 +7,14 @@ import numpy as np
 
 from ovmot.frontend.corners import fine_cell_px, new_corners
 from ovmot.frontend.epipolar import two_view_inliers
-from ovmot.frontend.optical_flow import match_templates, recover_lost, track_points
-from ovmot.frontend.patches import cut_patches, no_patches, refine_tracked
+from ovmot.frontend.feature_search import (
+    Sought,
+    find_features,
+    match_templates,
+    near_levels,
+    recover_lost,
+)
+from ovmot.frontend.patches import PatchStore, is_rescaled
 from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
@@ -26,7 +32,7 @@ class TrackedPoints:
     `uv` pixels and `xy` normalized coordinates (N, 2); `track_length` (N,): images through which
     the feature has been tracked, 0 for a new one; `depth` (N,) predicted in metres or NaN;
     `extra_flow` (N, 2): image motion in pixels beyond that of a static point; `inlier` (N,) of the
-    two-view test.
+    two-view test. `slot` (N,) of its patch in the camera's `PatchStore`.
     """
 
     feature_id: IntArray
@@ -36,6 +42,7 @@ class TrackedPoints:
     depth: FloatArray
     extra_flow: FloatArray
     inlier: BoolArray
+    slot: IntArray
 
     def __len__(self) -> int:
         return len(self.feature_id)
@@ -62,7 +69,7 @@ class KltTracker:
         self._ids = ids
         self._pyramid: Pyramid | None = None
         self.points = no_points()
-        self.patches = no_patches()
+        self.patches = PatchStore()
 
     def step(
         self,
@@ -80,9 +87,8 @@ class KltTracker:
         zero where more corners are wanted.
         """
         tracked = self._track(view, p_before, p_predicted, T_now_before)
+        self.patches.keep(tracked.slot)
         self.points = self._with_corners(view, tracked, focus)
-        new = cut_patches(view.smooth, self.points.uv[len(tracked) :])
-        self.patches = self.patches.joined(new)
         self._pyramid = view.pyramid
         return self.points
 
@@ -99,25 +105,25 @@ class KltTracker:
         start, depth = predict_pixels(last.xy, p_predicted, T_now_before, camera)
         moves = np.isfinite(p_predicted[:, 0]) & (p_predicted != p_before).any(axis=1)
         start = np.where(moves[:, None], start, static_uv + last.extra_flow)
-        # optical flow from there, and from other places for what it has lost
-        images = self._pyramid, view.pyramid, last.uv
-        flow = track_points(*images, start, self._settings, self._workers)
+        # search there, and in other places for what is lost
+        sought = Sought(self._pyramid, last.uv, self.patches, last.slot)
+        first = find_features(sought, view, start, near_levels(self._settings), self._workers)
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
-        nearby = flow_nearby(last.uv, static_uv, flow.uv, flow.found, half_px)
+        nearby = flow_nearby(last.uv, static_uv, first.uv, first.found, half_px)
         # not again where the first search began
         elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
-        unknown = ~flow.found & ~moves & np.isfinite(p_before[:, 0])
+        unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])
         searched = self._search(view, static_uv, unknown, 2.0 * cell_px)
         starts = np.stack([nearby, elsewhere, searched])
-        flow = recover_lost(*images, flow, starts, static_uv, self._settings, self._workers)
-        # alignment with the first patch
-        rows = np.flatnonzero(flow.found & view.contains(flow.uv))
-        patches = self.patches.rows(rows)
-        uv, patches = refine_tracked(patches, view.smooth, flow.uv[rows], self._workers)
-        xy = camera.normalize(uv)
-        ok = view.contains(uv) & np.isfinite(xy[:, 0])
-        rows, uv, xy, self.patches = rows[ok], uv[ok], xy[ok], patches.rows(ok)
+        now = recover_lost(sought, view, first, starts, static_uv, self._settings, self._workers)
+        xy = camera.normalize(now.uv)
+        rows = np.flatnonzero(now.found & view.contains(now.uv) & np.isfinite(xy[:, 0]))
+        uv, xy, slot = now.uv[rows], xy[rows], last.slot[rows]
+        # patches that do not fit any more, or are seen at another scale, are cut anew
+        self.patches.warp[slot] = now.warp[rows]
+        stale = ~now.fits[rows] | is_rescaled(now.warp[rows])
+        self.patches.renew(view.smooth, uv[stale], slot[stale])
         # two-view test
         threshold = self._settings.two_view_threshold_px / camera.fx
         inlier = two_view_inliers(last.xy[rows], xy, threshold)
@@ -129,6 +135,7 @@ class KltTracker:
             depth=depth[rows],
             extra_flow=unexplained_flow(uv, static_uv[rows], inlier, 4.0 * cell_px),
             inlier=inlier,
+            slot=slot,
         )
 
     def _search(
@@ -165,10 +172,12 @@ class KltTracker:
             depth=np.concatenate([tracked.depth, np.full(n, np.nan)]),
             extra_flow=np.concatenate([tracked.extra_flow, np.zeros((n, 2))]),
             inlier=np.concatenate([tracked.inlier, np.ones(n, dtype=np.bool_)]),
+            slot=np.concatenate([tracked.slot, self.patches.add(view.smooth, uv)]),
         )
 
 
 def no_points() -> TrackedPoints:
     """Those before the first image."""
     two, ints = np.empty((0, 2)), np.empty(0, dtype=np.int64)
-    return TrackedPoints(ints, two, two, ints, np.empty(0), two, np.empty(0, dtype=np.bool_))
+    none = np.empty(0, dtype=np.bool_)
+    return TrackedPoints(ints, two, two, ints, np.empty(0), two, none, ints)

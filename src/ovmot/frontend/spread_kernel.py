@@ -9,44 +9,72 @@ from ovmot.kernels.cache import code_folder, compiled, part
 
 
 @part
-def is_free(u: float, v: float, taken: FloatArray, row: int, column: int, distance: float) -> bool:
-    """Is no taken corner nearer than `distance`? Only the bins around (row, column) can hold one.
+def _add_to_bin(u: float, v: float, side: float, bins: IntArray, k: int, after: IntArray) -> None:
+    """Put feature `k` at (u, v) first in its bin; `after[k]` is the one that was first before."""
+    row, column = int(v // side), int(u // side)
+    if 0 <= row < bins.shape[0] and 0 <= column < bins.shape[1]:
+        after[k] = bins[row, column]
+        bins[row, column] = k
 
-    `taken` (rows, columns, 2): the corner of each bin, NaN where none.
-    """
-    for i in range(max(row - 1, 0), min(row + 2, taken.shape[0])):
-        for j in range(max(column - 1, 0), min(column + 2, taken.shape[1])):
-            if (taken[i, j, 0] - u) ** 2 + (taken[i, j, 1] - v) ** 2 < distance**2:
-                return False
+
+@part
+def _is_free(
+    u: float, v: float, distance: float, bins: IntArray, after: IntArray, taken: FloatArray
+) -> bool:
+    """Is no feature `taken` (K, 2) nearer than `distance`? Only the bins around can hold one."""
+    row, column = int(v // distance), int(u // distance)
+    for i in range(max(row - 1, 0), min(row + 2, bins.shape[0])):
+        for j in range(max(column - 1, 0), min(column + 2, bins.shape[1])):
+            k = bins[i, j]
+            while k >= 0:
+                if (taken[k, 0] - u) ** 2 + (taken[k, 1] - v) ** 2 < distance**2:
+                    return False
+                k = after[k]
     return True
 
 
-def take_apart(
-    points: FloatArray, cell: IntArray, room: IntArray, n_wanted: int, distance: float
-) -> BoolArray:
-    """Which corners (M,) are taken, in order, `distance` apart, while their cell has room.
+@part
+def _cell_of(u: float, v: float, side: int, rows: int, columns: int) -> int:
+    """Index of the square cell around a pixel; that at the border for pixels outside."""
+    column = min(max(int(u) // side, 0), columns - 1)
+    row = min(max(int(v) // side, 0), rows - 1)
+    return row * columns + column
 
-    `points` (M, 2), no two in one bin of side `distance`; `cell` (M,): which cell each lies in;
-    `room` (C,): how many each may take.
+
+def spread_corners(
+    corners: FloatArray, existing: FloatArray, n_wanted: int,
+    distance: float, cell_px: int, per_cell: int, width: int, height: int,
+) -> BoolArray:  # fmt: skip
+    """Which corners (M,) are taken, in order, until there are `n_wanted`.
+
+    `corners` (M, 2) and `existing` features (N, 2): pixels of an image (height, width). A taken
+    corner is at least `distance` from all others and from the existing features, and a cell of side
+    `cell_px` holds at most `per_cell` of both.
     """
-    chosen = np.zeros(len(points), dtype=np.bool_)
-    left = room.copy()
-    columns = int(points[:, 0].max() // distance) + 1
-    rows = int(points[:, 1].max() // distance) + 1
-    taken = np.empty((rows, columns, 2))
-    taken[:] = np.nan
-    n = 0
-    for k in range(len(points)):
-        if n == n_wanted:
+    n_corners, n_existing = len(corners), len(existing)
+    columns, rows = -(-width // cell_px), -(-height // cell_px)
+    held = np.zeros(rows * columns, dtype=np.int64)
+    bins = np.full((int(height // distance) + 1, int(width // distance) + 1), -1)
+    taken, after = np.empty((n_existing + n_corners, 2)), np.full(n_existing + n_corners, -1)
+    for k in range(n_existing):
+        u, v = existing[k]
+        taken[k] = existing[k]
+        held[_cell_of(u, v, cell_px, rows, columns)] += 1
+        _add_to_bin(u, v, distance, bins, k, after)
+    chosen = np.zeros(n_corners, dtype=np.bool_)
+    n_taken = n_existing
+    for k in range(n_corners):
+        if n_taken - n_existing >= n_wanted:
             break
-        u, v = points[k]
-        row, column = int(v // distance), int(u // distance)
-        if left[cell[k]] > 0 and is_free(u, v, taken, row, column, distance):
+        u, v = corners[k]
+        cell = _cell_of(u, v, cell_px, rows, columns)
+        if held[cell] < per_cell and _is_free(u, v, distance, bins, after, taken):
             chosen[k] = True
-            taken[row, column] = points[k]
-            left[cell[k]] -= 1
-            n += 1
+            taken[n_taken] = corners[k]
+            held[cell] += 1
+            _add_to_bin(u, v, distance, bins, n_taken, after)
+            n_taken += 1
     return chosen
 
 
-take_apart_compiled = compiled(take_apart, code_folder(Path(__file__)))
+spread_corners_compiled = compiled(spread_corners, code_folder(Path(__file__)))

@@ -10,9 +10,8 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.corners import fine_cell_px, focus_mask
 from ovmot.frontend.epipolar import gate_matches, without_rejected
+from ovmot.frontend.feature_search import Sought, find_features, near_levels, recover_lost
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
-from ovmot.frontend.optical_flow import recover_lost, track_points
-from ovmot.frontend.patches import align
 from ovmot.frontend.prediction import fill_depths, predict_right
 from ovmot.frontend.preprocessing import View, preprocess
 from ovmot.geometry.arrays import FloatArray
@@ -96,15 +95,13 @@ class StereoTracker:
         default = self._rig.baseline * left.camera.fx / (0.5 * cell_px)
         depth = fill_depths(points.uv, points.depth, default)
         start = predict_right(points.xy, depth, self._rig)
-        # optical flow from left to right, and alignment with the first patch
-        images = left.pyramid, right.pyramid, points.uv
-        flow = track_points(*images, start, self._settings, self._workers)
+        # the patch as it is seen in the left image, sought in the right one
+        sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
+        first = find_features(sought, right, start, near_levels(self._settings), self._workers)
         no_other = np.empty((0, *start.shape))
-        flow = recover_lost(*images, flow, no_other, start, self._settings, self._workers)
-        patches = self._left.patches
-        refined, _, fits = align(patches, right.smooth, flow.uv, patches.warp, self._workers)
-        uv = np.where(fits[:, None], refined, flow.uv)
-        ok = flow.found & right.contains(uv)
+        seen = recover_lost(sought, right, first, no_other, start, self._settings, self._workers)
+        uv = seen.uv
+        ok = seen.found & right.contains(uv)
         # epipolar gate on every pair
         pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
         xy = right.camera.normalize(pixels[:, 2:])

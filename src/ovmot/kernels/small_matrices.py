@@ -59,3 +59,20 @@ def whiten_with(L: FloatArray, rows: FloatArray) -> None:
             for k in range(i):
                 rows[i, c] -= L[i, k] * rows[k, c]
             rows[i, c] /= L[i, i]
+
+
+@part
+def invert_definite(A: FloatArray) -> None:
+    """Replace a symmetric positive definite A (k, k) by its inverse, by Gauss-Jordan steps."""
+    n = len(A)
+    for p in range(n):
+        pivot = 1.0 / A[p, p]
+        A[p, p] = 1.0
+        for j in range(n):
+            A[p, j] *= pivot
+        for i in range(n):
+            if i != p:
+                factor = A[i, p]
+                A[i, p] = 0.0
+                for j in range(n):
+                    A[i, j] -= factor * A[p, j]

@@ -1,4 +1,4 @@
-"""Optical flow on images whose motion is known."""
+"""The search for features on images whose motion is known."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -7,8 +7,17 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.frontend.optical_flow import match_templates, recover_lost, track_points
-from ovmot.frontend.preprocessing import build_pyramid
+from ovmot.cameras.camera import Camera
+from ovmot.frontend.feature_search import (
+    Found,
+    Sought,
+    find_features,
+    match_templates,
+    near_levels,
+    recover_lost,
+)
+from ovmot.frontend.patches import PatchStore
+from ovmot.frontend.preprocessing import View, build_pyramid, smoothed
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
@@ -42,14 +51,33 @@ def points() -> FloatArray:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
+def view_of(image: Image, settings: TrackerSettings) -> View:
+    camera = Camera.make(image.shape[::-1], (300.0, 300.0), (150.0, 100.0))
+    return View(image, build_pyramid(image, settings), smoothed(image), None, camera)
+
+
+def sought_in(image: Image, points: FloatArray, settings: TrackerSettings) -> Sought:
+    store = PatchStore()
+    slot = store.add(smoothed(image), points)
+    return Sought(build_pyramid(image, settings), points, store, slot)
+
+
+def found(
+    source: Image, target: Image, points: FloatArray, start: FloatArray,
+    settings: TrackerSettings, workers: ThreadPoolExecutor,
+) -> Found:  # fmt: skip
+    view = view_of(target, settings)
+    n_levels = near_levels(settings)
+    return find_features(sought_in(source, points, settings), view, start, n_levels, workers)
+
+
 def look(
     source: Image, target: Image, points: FloatArray, start: FloatArray,
     settings: TrackerSettings, workers: ThreadPoolExecutor,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Positions, and which were found."""
-    pyramids = build_pyramid(source, settings), build_pyramid(target, settings)
-    flow = track_points(*pyramids, points, start, settings, workers)
-    return flow.uv, flow.found
+    search = found(source, target, points, start, settings, workers)
+    return search.uv, search.found
 
 
 def unknown(points: FloatArray) -> FloatArray:
@@ -136,19 +164,20 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     target = np.hstack([target[:, :150], painted(texture, (44.0, 3.0))[:, 150:]])
     moved = points[:, 0] > 150
     near = SETTINGS.model_copy(update={"klt_levels": 3})
-    pyramids = build_pyramid(source, near), build_pyramid(target, near)
-    first = track_points(*pyramids, points, unknown(points), near, workers)
+    sought, view = sought_in(source, points, near), view_of(target, near)
+    first = find_features(sought, view, unknown(points), near_levels(near), workers)
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
-    again = recover_lost(*pyramids, points, first, (points + shift)[None], points, near, workers)
+    starts = (points + shift)[None]
+    again = recover_lost(sought, view, first, starts, points, near, workers)
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
     flat = np.full_like(target, 128)
     flat[:, :150] = target[:, :150]
-    pyramids = build_pyramid(source, near), build_pyramid(flat, near)
-    nowhere = track_points(*pyramids, points, unknown(points), near, workers)
-    again = recover_lost(*pyramids, points, nowhere, (points + shift)[None], points, near, workers)
+    view = view_of(flat, near)
+    nowhere = find_features(sought, view, unknown(points), near_levels(near), workers)
+    again = recover_lost(sought, view, nowhere, starts, points, near, workers)
     assert not again.found[points[:, 0] > 170].any()
 
 

@@ -1,0 +1,148 @@
+"""The search for features in another image, from predicted places: patches, flow, templates."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ovmot.frontend.feature_kernel import ALIGNED, LOST, find_features_compiled
+from ovmot.frontend.klt_kernel import margin_of
+from ovmot.frontend.patches import PatchStore
+from ovmot.frontend.preprocessing import Pyramid, View
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.settings import TrackerSettings
+
+MIN_CORRELATION = 0.85
+"""Normalized cross-correlation from which on two patches are taken as views of one point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where N features are: pixels `uv` (N, 2), `warp` (N, 2, 2) of their patches, and which were
+    found at all (N,), and which fit their first patch (N,)."""
+
+    uv: FloatArray
+    warp: FloatArray
+    found: BoolArray
+    fits: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class Sought:
+    """N features to look for: where they are in the image of `pyramid`, pixels `uv` (N, 2), and the
+    slots (N,) of their patches in `store`."""
+
+    pyramid: Pyramid
+    uv: FloatArray
+    store: PatchStore
+    slot: IntArray
+
+
+def find_features(
+    sought: Sought, view: View, start: FloatArray, n_levels: int, workers: Executor
+) -> Found:
+    """Where the features are in a view, from predicted pixels `start` (N, 2), NaN: where they were.
+
+    The first patch is aligned with the predicted place. Where it does not fit, optical flow on
+    `n_levels` of the pyramid, there and back, leads to where it is aligned again.
+    """
+    return _find_in_halves(sought, view, start, np.arange(len(start)), n_levels, workers)
+
+
+def near_levels(settings: TrackerSettings) -> int:
+    """Levels of the pyramid that lie within reach of a predicted place.
+
+    At the coarsest ones a window is as large as a body, and the background in it would pull it
+    along.
+    """
+    return max(settings.klt_levels - 2, 1)
+
+
+def recover_lost(
+    sought: Sought,
+    view: View,
+    first: Found,
+    starts: FloatArray,
+    around: FloatArray,
+    settings: TrackerSettings,
+    workers: Executor,
+) -> Found:
+    """The features, with lost ones sought again: near `starts` (H, N, 2), then far `around` (N, 2).
+
+    The starts come in order of trust, NaN for none; around the last positions the whole pyramid is
+    searched. A repeated search finds something wherever it looks, so that the first patch must fit.
+    """
+    uv, warp, found, fits = (a.copy() for a in (first.uv, first.warp, first.found, first.fits))
+    levels = [near_levels(settings)] * len(starts) + [settings.klt_levels]
+    for start, n_levels in zip((*starts, around), levels, strict=True):
+        lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))
+        if not len(lost):
+            continue
+        again = _find_in_halves(sought, view, start[lost], lost, n_levels, workers)
+        rows = lost[again.fits]
+        uv[rows], warp[rows] = again.uv[again.fits], again.warp[again.fits]
+        found[rows] = fits[rows] = True
+    return Found(uv, warp, found, fits)
+
+
+def match_templates(
+    source: Pyramid, target: Pyramid, points: FloatArray, around: FloatArray, reach_px: float
+) -> FloatArray:
+    """Positions (N, 2) in `target` that correlate best with the patches of `points` (N, 2).
+
+    They are sought `reach_px` to either side of `around` (N, 2) and a quarter of it up and down,
+    since bodies move along the ground; NaN below `MIN_CORRELATION`. Normalized cross-correlation
+    of windows on the half-size images: optical flow does not reach much farther than its window.
+    """
+    found = np.full(points.shape, np.nan)
+    if len(source.levels) < 2:
+        return found
+    margin, half = margin_of(source.window), source.window // 2
+    before, after = source.levels[1], target.levels[1]
+    size = np.array(after.shape[::-1])
+    reach = (np.array([0.5, 0.125]) * reach_px).astype(np.int64) + half
+    centre = (0.5 * points).round().astype(np.int64) + margin
+    middle = (0.5 * around).round().astype(np.int64) + margin
+    low, high = np.maximum(middle - reach, 0), np.minimum(middle + reach + 1, size)
+    inside = ((centre >= half) & (centre < size - half) & (high - low > 2 * half)).all(axis=1)
+    for k in np.flatnonzero(inside):
+        (u, v), (left, top), (right, bottom) = centre[k], low[k], high[k]
+        patch = before[v - half : v + half + 1, u - half : u + half + 1]
+        score = cv2.matchTemplate(after[top:bottom, left:right], patch, cv2.TM_CCOEFF_NORMED)
+        _, best, _, corner = cv2.minMaxLoc(score)
+        if best > MIN_CORRELATION:
+            found[k] = points[k] + 2.0 * (low[k] + np.array(corner) + half - centre[k])
+    return found
+
+
+def _find_in_halves(
+    sought: Sought,
+    view: View,
+    start: FloatArray,
+    row: IntArray,
+    n_levels: int,
+    workers: Executor,
+    *,
+    max_steps: int = 8,
+    small_step_px: float = 0.02,
+) -> Found:
+    """Features `row` (M,) from `start` (M, 2): halves of them in two threads, each by itself.
+
+    An alignment takes at most `max_steps`, and is done at one below `small_step_px`.
+    """
+    store, slot, points = sought.store, sought.slot[row], sought.uv[row]
+    warp, half = store.warp[slot], (len(row) + 1) // 2
+    jobs = [
+        workers.submit(
+            find_features_compiled, sought.pyramid.levels, view.pyramid.levels, view.smooth,
+            view.pyramid.window, store.grey, store.steepest, store.inverse, slot[part],
+            points[part], start[part], warp[part], min(n_levels, len(view.pyramid.levels)),
+            MIN_CORRELATION, max_steps, small_step_px,
+        )
+        for part in (slice(0, half), slice(half, None))
+    ]  # fmt: skip
+    uv, warp, state = (
+        np.concatenate(parts) for parts in zip(*(job.result() for job in jobs), strict=True)
+    )
+    return Found(uv, warp, state != LOST, state == ALIGNED)
