@@ -12,6 +12,7 @@ from ovmot.errors import OvmotError
 from ovmot.frontend import FRONT_ENDS, ImageFrontEnd, klt_tracker
 from ovmot.frontend.feature_search import Found, Sought, find_features
 from ovmot.frontend.monocular_tracker import MonocularTracker
+from ovmot.frontend.preprocessing import View
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image

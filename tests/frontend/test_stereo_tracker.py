@@ -11,7 +11,7 @@ import pytest
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend import klt_tracker, stereo_tracker
 from ovmot.frontend.feature_search import Found, Sought, find_features
-from ovmot.frontend.preprocessing import build_pyramid
+from ovmot.frontend.preprocessing import View, build_pyramid
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray

@@ -1,8 +1,8 @@
 """Compiled work on single patches: cut one from an image, align one with an image.
 
-Called by kernels only; arrays are filled in place. A patch has `PIXELS` pixels by rows, in arrays of
-`PADDED`: a loop over all of them then runs in SIMD lanes without a rest, and what lies beyond the
-patch has no weight. `tests/frontend/test_patch_kernel.py` holds the plain NumPy twins.
+Called by kernels only; arrays are filled in place. A patch has `PIXELS` pixels by rows, in arrays
+of `PADDED`: a loop over all of them then runs in SIMD lanes without a rest, and what lies beyond
+the patch has no weight. `tests/frontend/test_patch_kernel.py` holds the plain NumPy twins.
 """
 
 import math
@@ -227,8 +227,8 @@ def _cut_wide(image: _Float32, u: float, v: float, wide: _Float32) -> None:
 
 @part
 def _differentiate(wide: _Float32, grey: _Float32, steepest: _Float32) -> None:
-    """The patch `grey` (PADDED,) inside the wide one, and its derivative `steepest` (6, PADDED) by a
-    shift and by the warp's four numbers times the radius."""
+    """The patch `grey` (PADDED,) inside the wide one, and its derivatives `steepest` (6, PADDED) by
+    a shift and by the warp's four numbers times the radius."""
     half = np.float32(0.5)
     grey[PIXELS:], steepest[:, PIXELS:] = 0.0, 0.0
     for i in range(SIDE):
