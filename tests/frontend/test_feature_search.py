@@ -85,14 +85,14 @@ def unknown(points: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (3.375, -2.625), (-7.75, 5.125)])
-def test_a_shift_is_found_below_a_twentieth_of_a_pixel(
+def test_a_shift_is_found_below_a_tenth_of_a_pixel(
     texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor, shift: tuple[float, float]
 ) -> None:
     source, target = painted(texture, (0.0, 0.0)), painted(texture, shift)
     found, ok = look(source, target, points, unknown(points), SETTINGS, workers)
     assert ok.mean() > 0.95
     error = found[ok] - points[ok] - shift
-    assert np.abs(error).max() < 0.05
+    assert np.abs(error).max() < 0.1
     assert np.abs(error.mean(0)).max() < 0.005
 
 

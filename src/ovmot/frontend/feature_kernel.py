@@ -25,13 +25,13 @@ def find_features(
     source: tuple[_Float32, ...], target: tuple[_Float32, ...], smooth: _Float32, side: int,
     grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray,
     points: FloatArray, start: FloatArray, start_warp: FloatArray, n_levels: int,
-    min_correlation: float, max_steps: int, small_step_px: float,
+    min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
 ) -> tuple[FloatArray, FloatArray, _States]:  # fmt: skip
     """Where features are in another image: pixels (N, 2), warps (N, 2, 2), states (N,).
 
-    First the patch is aligned from `start` (N, 2), the predicted place, and `start_warp`. Where it
-    does not fit, optical flow leads from `start` to where it is aligned again; where it does not
-    fit there either, the flow's answer stays, with the warp that it started from.
+    First the patch is aligned from `start` (N, 2), the predicted place, and `start_warp`: that is
+    the answer beyond `sure_correlation`. Else optical flow leads from `start` to where it is
+    aligned again; below `min_correlation` the flow's answer stays, with the warp it started from.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
     holds `points` (N, 2) and of the one searched; `smooth` (height, width): the latter as patches
@@ -51,7 +51,7 @@ def find_features(
             smooth, grey[at], steepest[at], inverse[at], uv[n], warp[n], seen,
             max_steps, small_step_px,
         )  # fmt: skip
-        if correlation > min_correlation:
+        if correlation > sure_correlation:
             state[n] = ALIGNED
             continue
         begin = start[n] if math.isfinite(start[n, 0]) else points[n]

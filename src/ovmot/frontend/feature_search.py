@@ -1,7 +1,7 @@
 """The search for features in another image, from predicted places: patches, flow, templates."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,6 +15,9 @@ from ovmot.settings import TrackerSettings
 
 MIN_CORRELATION = 0.85
 """Normalized cross-correlation from which on two patches are taken as views of one point."""
+SURE_CORRELATION = 0.95
+"""The same without optical flow to lead there: a tenth of the variance is unlike at most, while a
+warp that is free to bend reaches the other bound on some wrong texture within reach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,11 @@ def recover_lost(
     return Found(uv, warp, found, fits)
 
 
+def only_fitting(now: Found, required: BoolArray) -> Found:
+    """The features without those that must fit their patch, `required` (N,), and do not."""
+    return replace(now, found=now.found & (now.fits | ~required))
+
+
 def match_templates(
     source: Pyramid, target: Pyramid, points: FloatArray, around: FloatArray, reach_px: float
 ) -> FloatArray:
@@ -138,7 +146,7 @@ def _find_in_halves(
             find_features_compiled, sought.pyramid.levels, view.pyramid.levels, view.smooth,
             view.pyramid.window, store.grey, store.steepest, store.inverse, slot[part],
             points[part], start[part], warp[part], min(n_levels, len(view.pyramid.levels)),
-            MIN_CORRELATION, max_steps, small_step_px,
+            MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,
         )
         for part in (slice(0, half), slice(half, None))
     ]  # fmt: skip

@@ -12,6 +12,7 @@ from ovmot.frontend.feature_search import (
     find_features,
     match_templates,
     near_levels,
+    only_fitting,
     recover_lost,
 )
 from ovmot.frontend.patches import PatchStore, is_rescaled
@@ -108,6 +109,9 @@ class KltTracker:
         # search there, and in other places for what is lost
         sought = Sought(self._pyramid, last.uv, self.patches, last.slot)
         first = find_features(sought, view, start, near_levels(self._settings), self._workers)
+        # a patch of the last image fits this one; an older one may be seen otherwise by now
+        first = only_fitting(first, self.patches.is_new[last.slot])
+        self.patches.is_new[:] = False
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
         nearby = flow_nearby(last.uv, static_uv, first.uv, first.found, half_px)

@@ -22,7 +22,8 @@ class PatchStore:
 
     `grey` (S, PADDED), weighted, of zero mean and unit norm; `steepest` (S, 6, PADDED), its
     derivative by a shift (2) and by the warp's four numbers times the radius; `inverse` (S, 6, 6)
-    of the curvature; `warp` (S, 2, 2): an offset x in the patch is now seen at uv + warp x.
+    of the curvature; `warp` (S, 2, 2): an offset x in the patch is now seen at uv + warp x;
+    `is_new` (S,): cut in the newest image.
     """
 
     def __init__(self) -> None:
@@ -30,6 +31,7 @@ class PatchStore:
         self.steepest: _Float32 = np.empty((0, 6, PADDED), dtype=np.float32)
         self.inverse: _Float32 = np.empty((0, 6, 6), dtype=np.float32)
         self.warp: FloatArray = np.empty((0, 2, 2))
+        self.is_new: BoolArray = np.empty(0, dtype=np.bool_)
         self._in_use: BoolArray = np.empty(0, dtype=np.bool_)
 
     def add(self, image: _Float32, uv: FloatArray) -> IntArray:
@@ -53,6 +55,7 @@ class PatchStore:
         """
         cut_patches_compiled(image, uv, slot, self.grey, self.steepest, self.inverse, damping)
         self.warp[slot] = np.eye(2)
+        self.is_new[slot] = True
 
     def keep(self, slot: IntArray) -> None:
         """Free all slots but these (N,)."""
@@ -68,7 +71,7 @@ class PatchStore:
 
         self.grey, self.steepest = grown(self.grey), grown(self.steepest)
         self.inverse, self.warp = grown(self.inverse), grown(self.warp)
-        self._in_use = grown(self._in_use)
+        self.is_new, self._in_use = grown(self.is_new), grown(self._in_use)
 
 
 def is_rescaled(warp: FloatArray, *, max_scale: float = 1.7) -> BoolArray:
