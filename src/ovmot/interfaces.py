@@ -82,6 +82,13 @@ class OdometrySource(Protocol):
         """The IMU time that a frame must wait for, or None."""
         ...
 
+    def predicted_motion(self, before_ns: int, frame_ns: int, imu: ImuBuffer) -> FloatArray:
+        """T_now_before (4, 4) of the left camera between two frames that are still to come.
+
+        Raises `DatasetError` where it is not known.
+        """
+        ...
+
     def propagate(self, frame_ns: int, imu: ImuBuffer) -> Self:
         """Propagate to the frame's time and clone the pose."""
         ...

@@ -1,6 +1,8 @@
 """The program: IMU samples and stereo frames in, one `FrameResult` a frame out."""
 
 from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -14,11 +16,11 @@ from ovmot.feature_table import (
     mark_dynamic,
     mark_outliers,
 )
+from ovmot.frame_jobs import FrameJobs, Known, Step, Tracked
 from ovmot.frontend import FRONT_ENDS
 from ovmot.frontend.epipolar import match_sigma
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.initialization.frame_buffer import FrameBuffer
+from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
 from ovmot.initialization.initializer import FilterInitializer
 from ovmot.interfaces import (
     Feedback,
@@ -45,7 +47,6 @@ from ovmot.types import (
     ImuSample,
     PixelNoise,
     PointLabel,
-    PoseWindow,
     StereoFrame,
 )
 from ovmot.vio.imu_buffer import ImuBuffer
@@ -61,6 +62,9 @@ STAGES = ("initialize", "propagate", "track", "segment", "update", "objects", "m
 class Odometry:
     """Stereo-inertial odometry with moving-object tracks, fed one event at a time.
 
+    The front end of a frame runs on what is known two frames before it, so that with two threads it
+    runs beside the later stages of the frame before. The results are the same bit for bit.
+
     Parameters
     ----------
     rig
@@ -74,6 +78,10 @@ class Odometry:
         dynamically; `GivenPosesInitializer` for poses from elsewhere.
     frontend
         Another front end than the one that `tracker.cameras` names.
+    threads
+        1: everything in the calling thread. 2: in two threads of its own.
+    on_result
+        Called with each `FrameResult` as soon as it is there, by the thread that made it.
 
     Raises
     ------
@@ -91,6 +99,8 @@ class Odometry:
         *,
         initializer: Initializer | None = None,
         frontend: FrontEnd | None = None,
+        threads: int = 1,
+        on_result: Callable[[FrameResult], None] | None = None,
     ) -> None:
         settings = settings or Settings()
         self._settings = settings
@@ -102,22 +112,26 @@ class Odometry:
         )
         self._rig = rig
         self._objects = MovingObjects(rig, settings)
+        # the calling thread's: events, and the frames that are worked on
         self._imu = ImuBuffer()
+        self._waiting: deque[StereoFrame | FeatureFrame] = deque()
+        self._last_frame_ns: int | None = None
+        self._jobs = FrameJobs(threads, Known(None, no_feedback(rig), None))
+        self._on_result = on_result
+        self.dropped = 0
+        # the later stages'
         self._source: OdometrySource | None = None
         self._table = empty_table()
         self._feedback = no_feedback(rig)
-        self._waiting: deque[StereoFrame | FeatureFrame] = deque()
         self._before_start = FrameBuffer(self._initializer, settings.initialization)
-        self._last_frame_ns: int | None = None
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
-        self.dropped = 0
         self.counts: Counter[str] = Counter(
             resets=0, frames_split_unsure=0, frames_degraded=0, frames_lost=0
         )
 
     def add(self, event: Event) -> list[FrameResult]:
-        """Take one IMU sample or frame; return the results that it made possible.
+        """Take one IMU sample or frame; return the results that are ready, in order.
 
         A frame is held until the IMU covers its time. Raises `DatasetError` where the stamps of a
         kind do not rise or an event is malformed (`check_event`), `OvmotError` with the frame's
@@ -129,38 +143,84 @@ class Odometry:
         else:
             self._check_order(event)
             self._waiting.append(event)
-        results: list[FrameResult] = []
         while self._waiting and self._is_covered(self._waiting[0].timestamp_ns):
-            result = self._step_or_say(self._waiting.popleft())
-            if result is not None:
-                results.append(result)
-        return results
+            self._begin(self._waiting.popleft())
+        return self._jobs.ready()
 
     def finish(self) -> list[FrameResult]:
-        """Stop the worker threads; return the results that were still awaited, in order.
+        """Wait for the results that are still awaited, in order, and stop the threads.
 
         Frames that the IMU never covered have none; `dropped` counts them. A second call does
-        nothing.
+        nothing. Raises what `add` raises.
         """
+        try:
+            return self._jobs.rest()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Stop the threads; what is still awaited is given up."""
         self.dropped += len(self._waiting)
         self._waiting.clear()
+        self._jobs.close()
         self._frontend.close()
-        return []
 
-    def step(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
-        """One frame through all stages; None while there is no initial state."""
-        watch, feedback = Stopwatch(), self._feedback
+    def _begin(self, frame: StereoFrame | FeatureFrame) -> None:
+        """Let the front end and then the later stages work on a frame.
+
+        The front end has what was known after the frame before the last one.
+        """
+        known = self._jobs.known()
+        if known.imu_needed_from_ns is not None:
+            self._imu.drop_before(known.imu_needed_from_ns - IMU_KEPT_NS)
+        imu = self._imu.snapshot()
+        T_now_before = self._predicted_motion(known, frame.timestamp_ns, imu)
+        self._jobs.begin(
+            lambda: self._track(frame, T_now_before, known.feedback),
+            lambda tracked: self._step_or_say(frame, tracked, imu),
+        )
+
+    def _predicted_motion(self, known: Known, frame_ns: int, imu: ImuBuffer) -> FloatArray:
+        """T_now_before (4, 4) of the left camera since the last frame; of a source that runs, or by
+        the gyroscope alone, the identity where neither reaches so far."""
+        before_ns = self._jobs.last_frame_ns
+        self._jobs.last_frame_ns = frame_ns
+        if before_ns is None:
+            return np.eye(4)
+        if known.source is not None:
+            with suppress(DatasetError):
+                return known.source.predicted_motion(before_ns, frame_ns, imu)
+        part = self._part(known)
+        times_ns = part.imu_time_ns(before_ns), part.imu_time_ns(frame_ns)
+        return predicted_rotation(*times_ns, imu, known.feedback.rig)
+
+    def _track(
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
+    ) -> Tracked:
+        """The front end's part."""
+        watch = Stopwatch()
+        with watch.stage("track"):
+            seen, matches = self._frontend.track(frame, T_now_before, feedback)
+        return Tracked(seen, matches, watch)
+
+    def step(
+        self, frame: StereoFrame | FeatureFrame, tracked: Callable[[], Tracked], imu: ImuBuffer
+    ) -> FrameResult | None:
+        """One frame through all stages; None while there is no initial state.
+
+        `tracked` waits for the front end; `imu` covers the frame.
+        """
+        feedback = self._feedback
         # 0 initialize: static or dynamic, and go through the frames that were used for it
         if self._source is None:
-            return self._initialize(frame, watch)
+            return self._initialize(frame, tracked(), imu)
         # 1 propagate: IMU to the frame's time, clone the pose
+        watch = Stopwatch()
         with watch.stage("propagate"):
-            source = self._source.propagate(frame.timestamp_ns, self._imu)
+            source = self._source.propagate(frame.timestamp_ns, imu)
         # 2 track: temporal and stereo matching from predicted places, epipolar gate on every pair
-        with watch.stage("track"):
-            T_now_before = camera_motion(source.window(), feedback.rig)
-            seen, matches = self._frontend.track(frame, T_now_before, feedback)
-            pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
+        seen, matches, track_watch = tracked()
+        pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
         # 3 segment: what the predicted motion does not explain leaves the filter for good
         with watch.stage("segment"):
             table, history, segmentation = self._segment(
@@ -177,23 +237,14 @@ class Odometry:
         # 6 marginalize: the oldest clone, or the newest one when stationary
         with watch.stage("marginalize"):
             self._source, self._table = source.marginalize(table)
-            self._imu.drop_before(self._source.imu_time_ns(frame.timestamp_ns) - IMU_KEPT_NS)
-        self._feedback = Feedback(
-            rig=self._source.calibrated_rig(),
-            pixel_sigma=pixel_sigma,
-            moving_id=objects.moving_id,
-            moving_velocity=objects.moving_velocity,
-            focus_uv=objects.focus_uv,
-            focus_radius_px=objects.focus_radius_px,
-            held_id=objects.held_id,
-        )
+        self._feedback = objects.feedback(self._source.calibrated_rig(), pixel_sigma)
         result = FrameResult(
             frame=frame,
             ego=self._source.estimate(frame.timestamp_ns),
             points=objects.points,
             matches=matches,
             tracks=objects.tracks,
-            milliseconds=watch.milliseconds,
+            milliseconds=track_watch.milliseconds | watch.milliseconds,
             segment=self.counts["resets"],
         )
         self._watch_health(result.ego)
@@ -225,17 +276,13 @@ class Odometry:
         return self._source.estimate_at(newest, self._imu)
 
     def _initialize(
-        self, frame: StereoFrame | FeatureFrame, watch: Stopwatch
+        self, frame: StereoFrame | FeatureFrame, tracked: Tracked, imu: ImuBuffer
     ) -> FrameResult | None:
-        """Track by the gyroscope's rotation and look for an initial state; on success go through
-        the frames up to this one."""
-        with watch.stage("track"):
-            rotation = self._before_start.rotation_until(frame.timestamp_ns, self._imu, self._rig)
-            seen, matches = self._frontend.track(frame, rotation, self._feedback)
-        self._before_start.append(seen, self._imu)
-        self._imu.drop_before(self._before_start.imu_needed_from_ns - IMU_KEPT_NS)
+        """Look for an initial state; on success go through the frames up to this one."""
+        seen, matches, watch = tracked
+        self._before_start.append(seen, imu)
         with watch.stage("initialize"):
-            started = self._initializer(self._before_start.frames, self._imu)
+            started = self._initializer(self._before_start.frames, imu)
             if isinstance(started, str):
                 self.not_started_because = started
                 self.counts["frames_before_start"] += 1
@@ -243,7 +290,7 @@ class Odometry:
             source, table = started
             if self._resume_at is not None:
                 source = source.placed(self._resume_at)
-            self._source, self._table, segmentation = self._caught_up(source, table)
+            self._source, self._table, segmentation = self._caught_up(source, table, imu)
         return FrameResult(
             frame=frame,
             ego=self._source.estimate(frame.timestamp_ns),
@@ -255,7 +302,7 @@ class Odometry:
         )
 
     def _caught_up(
-        self, source: OdometrySource, table: FeatureTable
+        self, source: OdometrySource, table: FeatureTable, imu: ImuBuffer
     ) -> tuple[OdometrySource, FeatureTable, Segmentation]:
         """A source just initialized, its table and the segmentation, at the newest frame."""
         frames = self._before_start.frames
@@ -265,7 +312,7 @@ class Odometry:
             source, table = source.marginalize(table)
         else:
             for seen in frames:
-                source = source.propagate(seen.timestamp_ns, self._imu)
+                source = source.propagate(seen.timestamp_ns, imu)
                 table, history, segmentation = self._segment(
                     append_frame(table, seen), seen, source, noise
                 )
@@ -306,13 +353,29 @@ class Odometry:
             self._source, self._table = None, empty_table()
             self._before_start.clear()
 
-    def _step_or_say(self, frame: StereoFrame | FeatureFrame) -> FrameResult | None:
-        """A step whose numerical failure (a matrix not positive, a NaN) names the frame."""
+    def _step_or_say(
+        self, frame: StereoFrame | FeatureFrame, tracked: Callable[[], Tracked], imu: ImuBuffer
+    ) -> Step:
+        """A step and what is known after it; a numerical failure (a matrix not positive, a NaN)
+        names the frame."""
+        result, stamp = None, frame.timestamp_ns
         try:
-            return self.step(frame)
+            result = self.step(frame, tracked, imu)
         except (ValueError, ArithmeticError) as error:  # LinAlgError is a ValueError
-            stamp = frame.timestamp_ns
-            raise OvmotError(f"the estimate broke down at frame {stamp} ns: {error}") from error
+            wrong = OvmotError(f"the estimate broke down at frame {stamp} ns: {error}")
+            wrong.__cause__ = error
+            return Step(None, wrong, self._known_now(stamp))
+        except OvmotError as error:
+            return Step(None, error, self._known_now(stamp))
+        if result is not None and self._on_result is not None:
+            self._on_result(result)
+        return Step(result, None, self._known_now(stamp))
+
+    def _known_now(self, frame_ns: int) -> Known:
+        """What is known after the newest frame."""
+        if self._source is None:
+            return Known(None, self._feedback, self._before_start.imu_needed_from_ns)
+        return Known(self._source, self._feedback, self._source.imu_time_ns(frame_ns))
 
     def _check_order(self, frame: StereoFrame | FeatureFrame) -> None:
         if self._last_frame_ns is not None and frame.timestamp_ns <= self._last_frame_ns:
@@ -323,19 +386,13 @@ class Odometry:
         self._last_frame_ns = frame.timestamp_ns
 
     def _is_covered(self, frame_ns: int) -> bool:
-        part = self._initializer if self._source is None else self._source
-        needed = part.imu_needed_until(frame_ns)
+        needed = self._part(self._jobs.known()).imu_needed_until(frame_ns)
         last = self._imu.last_ns
         return needed is None or (last is not None and last >= needed)
 
-
-def camera_motion(window: PoseWindow, rig: StereoRig) -> FloatArray:
-    """T_now_before (4, 4) of the left camera between the two newest poses of a window."""
-    if len(window.timestamp_ns) < 2:
-        return np.eye(4)
-    T_world_cam0 = window.T_world_imu[-2:] @ rig.T_imu_cam0
-    T_now_before: FloatArray = se3.inverse(T_world_cam0[1]) @ T_world_cam0[0]
-    return T_now_before
+    def _part(self, known: Known) -> Initializer | OdometrySource:
+        """What knows the clocks: the source, or the initializer before there is one."""
+        return self._initializer if known.source is None else known.source
 
 
 def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:

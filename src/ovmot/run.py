@@ -180,7 +180,7 @@ def run_into_folder(
         ended, failure = f"failed: {error}", error
         raise
     finally:
-        odometry.finish()
+        odometry.close()
         counts["frames_written"] = writer.frames_written
         counts["frames_never_covered_by_imu"] = odometry.dropped
         counts.update(odometry.counts)

@@ -166,6 +166,19 @@ def test_the_state_between_frames(
         ego.estimate_at(start_ns + 10**11, imu)
 
 
+def test_the_motion_to_come_is_predicted(
+    ego: MsckfFilter, imu: ImuBuffer, curvy_path: PoseSpline, start_ns: int, rig: StereoRig
+) -> None:
+    ego = ego.propagate(start_ns, imu)
+    before, now = start_ns + 100_000_000, start_ns + 200_000_000
+    predicted = ego.predicted_motion(before, now, imu)
+    T_world_cam0 = np.stack([curvy_path.pose(t) for t in (before, now)]) @ rig.T_imu_cam0
+    truth = se3.inverse(T_world_cam0[1]) @ T_world_cam0[0]
+    np.testing.assert_allclose(predicted, truth, atol=1e-4)
+    with pytest.raises(DatasetError):
+        ego.predicted_motion(before, start_ns + 10**11, imu)
+
+
 def test_errors_are_as_large_as_the_covariance_says(make_drive: MakeDrive) -> None:
     nees, last = [], []
     for seed in range(10):

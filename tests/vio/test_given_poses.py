@@ -96,3 +96,14 @@ def test_it_starts_at_once_and_needs_no_imu(ego: GivenPoses) -> None:
 def test_camera_poses_become_imu_poses(painted_rig: StereoRig) -> None:
     T_world_cam0 = poses() @ painted_rig.T_imu_cam0
     np.testing.assert_allclose(imu_poses_from_cam0(T_world_cam0, painted_rig), poses(), atol=1e-12)
+
+
+def test_the_predicted_motion_is_that_of_the_given_poses(painted_rig: StereoRig) -> None:
+    """Going 0.2 m to the left, what was straight ahead is 0.2 m to the right (+x)."""
+    T = np.stack([np.eye(4)] * 2)
+    T[1, 1, 3] = 0.2
+    ego = GivenPoses(np.array([1, 2]), T, painted_rig, SETTINGS)
+    moved = se3.apply(ego.predicted_motion(1, 2, ImuBuffer()), np.array([0.0, 0.0, 5.0]))
+    np.testing.assert_allclose(moved, [0.2, 0.0, 5.0], atol=1e-12)
+    with pytest.raises(DatasetError, match="no pose is given for the frame at 3 ns"):
+        ego.predicted_motion(2, 3, ImuBuffer())

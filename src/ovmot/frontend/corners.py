@@ -127,7 +127,7 @@ def fast_corners(
         (points[:, 0] >= border_px) & (points[:, 0] < width - border_px)
         & (points[:, 1] >= border_px) & (points[:, 1] < height - border_px)
     )  # fmt: skip
-    return points[inside]
+    return np.asarray(points[inside])
 
 
 def choose_corners(
@@ -148,4 +148,5 @@ def choose_corners(
         corners, existing, n_wanted,
         spread.distance_px, spread.cell_px, spread.per_cell, width, height,
     )  # fmt: skip
-    return corners[chosen]
+    taken: FloatArray = corners[chosen]
+    return taken

@@ -76,7 +76,8 @@ def recover_lost(
     The starts come in order of trust, NaN for none; around the last positions the whole pyramid is
     searched. A repeated search finds something wherever it looks, so that the first patch must fit.
     """
-    uv, warp, found, fits = (a.copy() for a in (first.uv, first.warp, first.found, first.fits))
+    uv, warp = first.uv.copy(), first.warp.copy()
+    found, fits = first.found.copy(), first.fits.copy()
     levels = [near_levels(settings)] * len(starts) + [settings.klt_levels]
     for start, n_levels in zip((*starts, around), levels, strict=True):
         lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))

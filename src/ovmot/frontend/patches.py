@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ovmot.frontend.feature_kernel import cut_patches_compiled
 from ovmot.frontend.patch_kernel import PADDED
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _Float32 = npt.NDArray[np.float32]
 
@@ -66,7 +66,7 @@ class PatchStore:
         """Room for at least `size` patches, and twice as many as before."""
         more = max(size, 2 * len(self._in_use)) - len(self._in_use)
 
-        def grown(values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        def grown(values: AnyArray) -> AnyArray:
             return np.concatenate([values, np.zeros((more, *values.shape[1:]), values.dtype)])
 
         self.grey, self.steepest = grown(self.grey), grown(self.steepest)

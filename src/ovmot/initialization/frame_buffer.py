@@ -47,26 +47,22 @@ class FrameBuffer:
             frames.popleft()
 
     @property
-    def imu_needed_from_ns(self) -> int:
-        """The oldest IMU time that the initializer may use, once there is a frame."""
+    def imu_needed_from_ns(self) -> int | None:
+        """The oldest IMU time that the initializer may use; None before the first frame."""
+        if not self._frames:
+            return None
         oldest_ns = self._initializer.imu_time_ns(self._frames[0].timestamp_ns)
         return oldest_ns - round(1e9 * self._settings.window_s)
 
-    def rotation_until(self, frame_ns: int, imu: ImuBuffer, rig: StereoRig) -> FloatArray:
-        """T_now_before (4, 4) of the left camera since the last frame, by the gyroscope alone.
 
-        The identity where there is no frame before, or no IMU.
-        """
-        T = np.eye(4)
-        if not self._frames:
-            return T
-        try:
-            samples = imu.between(
-                self._initializer.imu_time_ns(self._frames[-1].timestamp_ns),
-                self._initializer.imu_time_ns(frame_ns),
-            )
-        except DatasetError:
-            return T
-        R_cam_imu = rig.T_imu_cam0[:3, :3].T
-        T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+def predicted_rotation(before_ns: int, now_ns: int, imu: ImuBuffer, rig: StereoRig) -> FloatArray:
+    """T_now_before (4, 4) of the left camera between two times on the IMU's clock, by the gyroscope
+    alone; the identity where there is no IMU."""
+    T = np.eye(4)
+    try:
+        samples = imu.between(before_ns, now_ns)
+    except DatasetError:
         return T
+    R_cam_imu = rig.T_imu_cam0[:3, :3].T
+    T[:3, :3] = R_cam_imu @ integrated_rotation(samples).T @ R_cam_imu.T
+    return T

@@ -8,6 +8,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.interfaces import Feedback
 from ovmot.objects.measurement import measure_objects
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
@@ -33,6 +34,18 @@ class ObjectsResult:
     moving_velocity: FloatArray
     focus_uv: FloatArray
     focus_radius_px: FloatArray
+
+    def feedback(self, rig: StereoRig, pixel_sigma: float) -> Feedback:
+        """What later frames are told, with the calibration and the pixel noise of now."""
+        return Feedback(
+            rig=rig,
+            pixel_sigma=pixel_sigma,
+            moving_id=self.moving_id,
+            moving_velocity=self.moving_velocity,
+            focus_uv=self.focus_uv,
+            focus_radius_px=self.focus_radius_px,
+            held_id=self.held_id,
+        )
 
 
 class MovingObjects:

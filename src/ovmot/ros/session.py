@@ -105,7 +105,7 @@ class Session:
 
     def close(self) -> None:
         """End the odometry's threads."""
-        self._odometry.finish()
+        self._odometry.close()
 
     def latency_ms(self, percent: float) -> float | None:
         """Percentile of the time from a pair's arrival to its odometry, None without a frame."""
@@ -129,7 +129,7 @@ class Session:
         self._say(f"{why}: starting again, in a new segment")
         self.counts["restarts"] += 1
         self._first = self._free
-        self._odometry.finish()
+        self._odometry.close()
         self._odometry = self._make_odometry()
         self._trails = Trails()
         self._newest_ns = None

@@ -11,12 +11,19 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
-from ovmot.types import CalibrationEstimate, EgoEstimate, Health, ImuNoise, PoseWindow
+from ovmot.types import (
+    CalibrationEstimate,
+    EgoEstimate,
+    Health,
+    ImuData,
+    ImuNoise,
+    PoseWindow,
+)
 from ovmot.vio.imu_buffer import ImuBuffer
 from ovmot.vio.integrators import INTEGRATORS
 from ovmot.vio.landmarks import no_landmarks
 from ovmot.vio.online_calibration import calibrated_rig, make_calibration
-from ovmot.vio.propagation import clone_pose, propagate, propagate_imu
+from ovmot.vio.propagation import Propagation, clone_pose, propagate, propagate_imu
 from ovmot.vio.slam_features import change_anchor
 from ovmot.vio.state import (
     N_IMU,
@@ -24,6 +31,7 @@ from ovmot.vio.state import (
     TIME_OFFSET,
     VELOCITY,
     Clones,
+    ImuState,
     State,
     marginalize_clone,
     pose_matrix,
@@ -56,6 +64,21 @@ class MsckfFilter:
         """The IMU time that must be reached before the filter can propagate to this frame."""
         return self.imu_time_ns(frame_ns)
 
+    def predicted_motion(self, before_ns: int, frame_ns: int, imu: ImuBuffer) -> FloatArray:
+        """T_now_before (4, 4) of the left camera between two frames, by the IMU from the newest
+        state; raises `DatasetError` where `imu` does not reach so far."""
+        imu_state, time_ns, poses = self.state.imu, self.state.timestamp_ns, []
+        for stamp in (before_ns, frame_ns):
+            end_ns = self.imu_time_ns(stamp)
+            if end_ns > time_ns:
+                samples = imu.between(time_ns, end_ns)
+                imu_state = self._integrated(imu_state, imu_state, samples, imu).imu
+                time_ns = end_ns
+            poses.append(pose_matrix(imu_state))
+        T_imu_cam0 = self.calibrated_rig().T_imu_cam0
+        T_now_before: FloatArray = se3.inverse(poses[1] @ T_imu_cam0) @ poses[0] @ T_imu_cam0
+        return T_now_before
+
     def propagate(self, frame_ns: int, imu: ImuBuffer) -> "MsckfFilter":
         """Propagate to the frame and clone its pose.
 
@@ -68,10 +91,19 @@ class MsckfFilter:
         """The state at a time on the IMU's clock, and the angular velocity (3,), rad/s, there."""
         if end_ns == self.state.timestamp_ns:
             return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias
-        samples = imu.between(self.state.timestamp_ns, end_ns)
-        result = propagate_imu(
-            self.state.imu,
-            self.state.imu_first,
+        # a frame is found covered by an older time offset: its change may lack some microseconds
+        held_ns = round(3e9 * self.settings.filter.time_offset_sigma_s)
+        samples = imu.between(self.state.timestamp_ns, end_ns, held_ns=held_ns)
+        result = self._integrated(self.state.imu, self.state.imu_first, samples, imu)
+        return propagate(self.state, result, end_ns), result.angular_velocity
+
+    def _integrated(
+        self, start: ImuState, start_first: ImuState, samples: ImuData, imu: ImuBuffer
+    ) -> Propagation:
+        """The propagation of an IMU state, and of its first estimate, over an interval of `imu`."""
+        return propagate_imu(
+            start,
+            start_first,
             samples,
             self.noise,
             self.settings.filter.gravity_mps2,
@@ -79,7 +111,6 @@ class MsckfFilter:
             imu.spacing_s(samples) > self.settings.imu.max_gap_s,
             self.state.calibration,
         )
-        return propagate(self.state, result, end_ns), result.angular_velocity
 
     def update(
         self, table: FeatureTable, history: StereoHistory

@@ -37,10 +37,20 @@ class GivenPoses:
         """No IMU is needed."""
         return None
 
+    def predicted_motion(self, before_ns: int, frame_ns: int, imu: ImuBuffer) -> FloatArray:
+        """T_now_before (4, 4) of the left camera by the given poses; raises `DatasetError` where
+        one is missing."""
+        for stamp in (before_ns, frame_ns):
+            self._check_given(stamp)
+        T_world_cam0 = self._pose(before_ns) @ self.rig.T_imu_cam0
+        T_now_before: FloatArray = (
+            se3.inverse(self._pose(frame_ns) @ self.rig.T_imu_cam0) @ T_world_cam0
+        )
+        return T_now_before
+
     def propagate(self, frame_ns: int, imu: ImuBuffer) -> "GivenPoses":
         """The window with this frame's pose; raises `DatasetError` where none is given."""
-        if frame_ns not in self.pose_ns:
-            raise DatasetError(f"no pose is given for the frame at {frame_ns} ns")
+        self._check_given(frame_ns)
         return replace(self, window_ns=(*self.window_ns, frame_ns))
 
     def update(
@@ -97,6 +107,10 @@ class GivenPoses:
             time_offset_std_s=float("nan"),
             standing=False,
         )
+
+    def _check_given(self, frame_ns: int) -> None:
+        if frame_ns not in self.pose_ns:
+            raise DatasetError(f"no pose is given for the frame at {frame_ns} ns")
 
     def _pose(self, stamp: int) -> FloatArray:
         pose: FloatArray = self.T_world_imu[int(np.searchsorted(self.pose_ns, stamp))]

@@ -40,12 +40,15 @@ class ImuBuffer:
         self._stamps.append(sample.timestamp_ns)
         self._rates.append(np.concatenate([sample.gyro, sample.accel]))
 
-    def between(self, start_ns: int, end_ns: int) -> ImuData:
+    def between(self, start_ns: int, end_ns: int, *, held_ns: int = 0) -> ImuData:
         """Samples from `start_ns` to `end_ns`, both ends interpolated linearly.
 
-        Raises `DatasetError` when the buffer does not reach over both ends.
+        The newest sample is held for `held_ns` at most. Raises `DatasetError` when the buffer does
+        not reach over both ends.
         """
-        if len(self) < 2 or not self._stamps[0] <= start_ns < end_ns <= self._stamps[-1]:
+        if len(self) < 2 or not (
+            self._stamps[0] <= start_ns < end_ns <= self._stamps[-1] + held_ns
+        ):
             raise DatasetError(f"the IMU does not cover {start_ns}..{end_ns} ns")
         lo, hi = bisect_right(self._stamps, start_ns) - 1, bisect_left(self._stamps, end_ns)
         stamps = np.array(self._stamps[lo : hi + 1], dtype=np.int64)
@@ -72,12 +75,16 @@ class ImuBuffer:
 
         A pair of an interval can be short and still lie in a long gap of the stream.
         """
-        spacing = [
-            self._stamps[bisect_right(self._stamps, int(t))]
-            - self._stamps[bisect_right(self._stamps, int(t)) - 1]
-            for t in interval.timestamp_ns[:-1]
-        ]
-        return np.array(spacing) * 1e-9
+        stamps = np.array(self._stamps, dtype=np.int64)
+        after = np.searchsorted(stamps, interval.timestamp_ns[:-1], side="right")
+        after = np.minimum(after, len(stamps) - 1)  # behind the newest sample: as before it
+        return np.asarray((stamps[after] - stamps[after - 1]) * 1e-9)
+
+    def snapshot(self) -> "ImuBuffer":
+        """The samples of now, for another thread: what is appended later is not in it."""
+        out = ImuBuffer()
+        out._stamps, out._rates = self._stamps.copy(), self._rates.copy()
+        return out
 
     def drop_before(self, stamp_ns: int) -> None:
         """Drop the samples that no interval from `stamp_ns` on needs."""
