@@ -2,13 +2,13 @@
 
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from ovmot.errors import OvmotError
 from ovmot.interfaces import Feedback, OdometrySource
-from ovmot.runtime import CallingThread, Stopwatch
+from ovmot.runtime import Stopwatch, helping_thread
 from ovmot.types import FrameResult, FrontendFrame, StereoMatches
 
 
@@ -47,12 +47,7 @@ class FrameJobs:
     """
 
     def __init__(self, threads: int, before_all: Known) -> None:
-        def executor(name: str) -> Executor:
-            if threads == 1:
-                return CallingThread()
-            return ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"ovmot-{name}")
-
-        self._front, self._later = executor("front"), executor("later")
+        self._front, self._later = helping_thread(threads), helping_thread(threads)
         self._before_all = before_all
         self._last_two: deque[Future[Step]] = deque(maxlen=2)
         self._unreturned: deque[Future[Step]] = deque()

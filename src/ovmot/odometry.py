@@ -108,7 +108,7 @@ class Odometry:
             rig, noise_in_use(imu_noise, settings.imu), settings
         )
         self._frontend: FrontEnd = frontend or FRONT_ENDS[settings.tracker.cameras](
-            rig, settings.tracker, settings.epipolar
+            rig, settings.tracker, settings.epipolar, threads
         )
         self._rig = rig
         self._objects = MovingObjects(rig, settings)

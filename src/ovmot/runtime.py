@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -65,6 +65,13 @@ class Stopwatch:
         finally:
             spent = 1e3 * (time.perf_counter() - start)
             self.milliseconds[name] = self.milliseconds.get(name, 0.0) + spent
+
+
+def helping_thread(threads: int) -> Executor:
+    """A thread for jobs beside the caller's; with one of `threads`, the caller does them itself."""
+    if threads == 1:
+        return CallingThread()
+    return ThreadPoolExecutor(max_workers=1, thread_name_prefix="ovmot")
 
 
 class CallingThread(Executor):

@@ -1,8 +1,5 @@
 """The search for features on images whose motion is known."""
 
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-
 import cv2
 import numpy as np
 import pytest
@@ -22,12 +19,6 @@ from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
 SETTINGS = TrackerSettings(klt_window_px=15, klt_levels=5)
-
-
-@pytest.fixture(scope="module")
-def workers() -> Iterator[ThreadPoolExecutor]:
-    with ThreadPoolExecutor(2) as pool:
-        yield pool
 
 
 @pytest.fixture(scope="module")
@@ -64,19 +55,19 @@ def sought_in(image: Image, points: FloatArray, settings: TrackerSettings) -> So
 
 def found(
     source: Image, target: Image, points: FloatArray, start: FloatArray,
-    settings: TrackerSettings, workers: ThreadPoolExecutor,
+    settings: TrackerSettings,
 ) -> Found:  # fmt: skip
     view = view_of(target, settings)
     n_levels = near_levels(settings)
-    return find_features(sought_in(source, points, settings), view, start, n_levels, workers)
+    return find_features(sought_in(source, points, settings), view, start, n_levels)
 
 
 def look(
     source: Image, target: Image, points: FloatArray, start: FloatArray,
-    settings: TrackerSettings, workers: ThreadPoolExecutor,
+    settings: TrackerSettings,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Positions, and which were found."""
-    search = found(source, target, points, start, settings, workers)
+    search = found(source, target, points, start, settings)
     return search.uv, search.found
 
 
@@ -86,77 +77,71 @@ def unknown(points: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (3.375, -2.625), (-7.75, 5.125)])
 def test_a_shift_is_found_below_a_tenth_of_a_pixel(
-    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor, shift: tuple[float, float]
+    texture: AnyArray, points: FloatArray, shift: tuple[float, float]
 ) -> None:
     source, target = painted(texture, (0.0, 0.0)), painted(texture, shift)
-    found, ok = look(source, target, points, unknown(points), SETTINGS, workers)
+    found, ok = look(source, target, points, unknown(points), SETTINGS)
     assert ok.mean() > 0.95
     error = found[ok] - points[ok] - shift
     assert np.abs(error).max() < 0.1
     assert np.abs(error.mean(0)).max() < 0.005
 
 
-def test_a_large_shift_needs_its_predicted_start(
-    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
-) -> None:
+def test_a_large_shift_needs_its_predicted_start(texture: AnyArray, points: FloatArray) -> None:
     shift = (48.0, -31.0)
     source, target = painted(texture, (0.0, 0.0)), painted(texture, shift)
     flat = SETTINGS.model_copy(update={"klt_levels": 3})
-    blind, ok_blind = look(source, target, points, unknown(points), flat, workers)
+    blind, ok_blind = look(source, target, points, unknown(points), flat)
     right = np.linalg.norm(blind - points - shift, axis=1) < 0.5
     assert (ok_blind & right).mean() < 0.05
     start = points + shift + np.random.default_rng(0).uniform(-1.5, 1.5, points.shape)
-    found, ok = look(source, target, points, start, flat, workers)
+    found, ok = look(source, target, points, start, flat)
     right = np.linalg.norm(found - points - shift, axis=1) < 0.1
     assert (ok & right).mean() > 0.9
 
 
-def test_points_are_found_from_their_own_starts(
-    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
-) -> None:
+def test_points_are_found_from_their_own_starts(texture: AnyArray, points: FloatArray) -> None:
     """A NaN start means the old position, for that point alone."""
     source, target = painted(texture, (0.0, 0.0)), painted(texture, (2.0, 1.0))
     start = unknown(points)
     start[::2] = points[::2] + np.array([2.0, 1.0])
-    found, ok = look(source, target, points, start, SETTINGS, workers)
+    found, ok = look(source, target, points, start, SETTINGS)
     assert ok.mean() > 0.95
     np.testing.assert_allclose(found[ok] - points[ok], [[2.0, 1.0]] * ok.sum(), atol=0.1)
 
 
-def test_what_is_gone_is_flagged(
-    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
-) -> None:
+def test_what_is_gone_is_flagged(texture: AnyArray, points: FloatArray) -> None:
     source, target = painted(texture, (0.0, 0.0)), painted(texture, (1.0, 0.0))
     other = np.random.default_rng(9).integers(0, 255, target.shape).astype(np.uint8)
     gone = target.copy()
     gone[:, 150:] = cv2.GaussianBlur(other, (0, 0), 1.5)[:, 150:]
-    _, ok = look(source, gone, points, unknown(points), SETTINGS, workers)
+    _, ok = look(source, gone, points, unknown(points), SETTINGS)
     assert ok[points[:, 0] < 130].mean() > 0.9
     assert ok[points[:, 0] > 170].mean() < 0.2
     flat = np.full_like(target, 128)
-    assert not look(source, flat, points, unknown(points), SETTINGS, workers)[1].any()
+    assert not look(source, flat, points, unknown(points), SETTINGS)[1].any()
 
 
-def test_no_points(workers: ThreadPoolExecutor) -> None:
+def test_no_points() -> None:
     image = np.zeros((50, 50), dtype=np.uint8)
     nothing = np.empty((0, 2))
-    found, ok = look(image, image, nothing, nothing, SETTINGS, workers)
+    found, ok = look(image, image, nothing, nothing, SETTINGS)
     assert (found.shape, ok.shape) == ((0, 2), (0,))
 
 
 def test_one_point_alone_gives_the_same_as_among_others(
-    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+    texture: AnyArray, points: FloatArray
 ) -> None:
     source, target = painted(texture, (0.0, 0.0)), painted(texture, (2.25, 1.125))
-    together, _ = look(source, target, points, unknown(points), SETTINGS, workers)
+    together, _ = look(source, target, points, unknown(points), SETTINGS)
     for i in (0, 41, 83):
         one = points[i : i + 1]
-        alone, _ = look(source, target, one, unknown(one), SETTINGS, workers)
+        alone, _ = look(source, target, one, unknown(one), SETTINGS)
         np.testing.assert_array_equal(alone[0], together[i])
 
 
 def test_what_one_look_lost_is_found_by_another_where_it_is_like(
-    texture: AnyArray, points: FloatArray, workers: ThreadPoolExecutor
+    texture: AnyArray, points: FloatArray
 ) -> None:
     """Half of the image moves far; its points are lost near their old places."""
     shift = np.array([44.0, 3.0])
@@ -165,19 +150,19 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     moved = points[:, 0] > 150
     near = SETTINGS.model_copy(update={"klt_levels": 3})
     sought, view = sought_in(source, points, near), view_of(target, near)
-    first = find_features(sought, view, unknown(points), near_levels(near), workers)
+    first = find_features(sought, view, unknown(points), near_levels(near))
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
     starts = (points + shift)[None]
-    again = recover_lost(sought, view, first, starts, points, near, workers)
+    again = recover_lost(sought, view, first, starts, points, near)
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
     flat = np.full_like(target, 128)
     flat[:, :150] = target[:, :150]
     view = view_of(flat, near)
-    nowhere = find_features(sought, view, unknown(points), near_levels(near), workers)
-    again = recover_lost(sought, view, nowhere, starts, points, near, workers)
+    nowhere = find_features(sought, view, unknown(points), near_levels(near))
+    again = recover_lost(sought, view, nowhere, starts, points, near)
     assert not again.found[points[:, 0] > 170].any()
 
 

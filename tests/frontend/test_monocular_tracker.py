@@ -33,7 +33,7 @@ Masks = tuple[Image | None, Image | None]
 
 
 def tracker_of(rig: StereoRig, cameras: str, settings: TrackerSettings = SETTINGS) -> ImageFrontEnd:
-    return FRONT_ENDS[cameras](rig, settings, EpipolarSettings())
+    return FRONT_ENDS[cameras](rig, settings, EpipolarSettings(), 1)
 
 
 def drive(

@@ -1,8 +1,5 @@
 """Patches: warps that are known are found; what lies off the centre does not drag."""
 
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-
 import cv2
 import numpy as np
 import pytest
@@ -15,12 +12,6 @@ from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.settings import TrackerSettings
 
 SETTINGS = TrackerSettings()
-
-
-@pytest.fixture(scope="module")
-def workers() -> Iterator[ThreadPoolExecutor]:
-    with ThreadPoolExecutor(2) as pool:
-        yield pool
 
 
 def texture(seed: int) -> FloatArray:
@@ -43,7 +34,6 @@ def found(
     target: Image,
     points: FloatArray,
     start: FloatArray,
-    workers: ThreadPoolExecutor,
     n_levels: int = 3,
 ) -> Found:
     """The points of one image in another one; by their patches alone with no level of flow."""
@@ -52,13 +42,13 @@ def found(
     sought = Sought(build_pyramid(source, SETTINGS), points, store, slot)
     camera = Camera.make((320, 240), (300.0, 300.0), (160.0, 120.0))
     view = View(target, build_pyramid(target, SETTINGS), smoothed(target), None, camera)
-    return find_features(sought, view, start, n_levels, workers)
+    return find_features(sought, view, start, n_levels)
 
 
 @pytest.mark.parametrize(
     "warp", [np.eye(2), np.array([[1.1, 0.05], [-0.04, 0.95]]), np.array([[0.9, -0.1], [0.1, 0.9]])]
 )
-def test_an_affine_warp_and_a_gain_are_found(warp: FloatArray, workers: ThreadPoolExecutor) -> None:
+def test_an_affine_warp_and_a_gain_are_found(warp: FloatArray) -> None:
     """The second image is the first one turned, stretched, shifted and twice as contrasted."""
     grey, points = texture(1), grid()
     middle, shift = np.array([160.0, 120.0]), np.array([1.3, -0.8])
@@ -70,7 +60,7 @@ def test_an_affine_warp_and_a_gain_are_found(warp: FloatArray, workers: ThreadPo
     source, target = painted(grey), painted(128.0 + 0.6 * (warped - 128.0) + 12.0)
     truth = (points - middle) @ warp.T + middle + shift
     start = truth + np.random.default_rng(2).uniform(-0.8, 0.8, truth.shape)
-    now = found(source, target, points, start, workers)
+    now = found(source, target, points, start)
     assert now.fits.mean() > 0.95
     off = np.linalg.norm(now.uv - truth, axis=1)[now.fits]
     assert np.median(off) < 0.08  # a bilinear sample between pixels is a little soft
@@ -78,19 +68,19 @@ def test_an_affine_warp_and_a_gain_are_found(warp: FloatArray, workers: ThreadPo
     np.testing.assert_allclose(np.median(now.warp[now.fits], axis=0), warp, atol=0.01)
 
 
-def test_what_is_not_there_does_not_fit(workers: ThreadPoolExecutor) -> None:
+def test_what_is_not_there_does_not_fit() -> None:
     source, other = painted(texture(1)), painted(texture(5))
-    assert found(source, other, grid(), grid(), workers, n_levels=0).fits.mean() < 0.05
+    assert found(source, other, grid(), grid(), n_levels=0).fits.mean() < 0.05
 
 
-def test_the_border_of_a_patch_does_not_drag_its_centre(workers: ThreadPoolExecutor) -> None:
+def test_the_border_of_a_patch_does_not_drag_its_centre() -> None:
     """From 4 pixels right of each point on, the image moves by 2 pixels; the point does not."""
     still, moving = texture(1), texture(7)
     points = np.array([[100.0, v] for v in np.arange(40.0, 200.0, 12.0)])
     before, after = still.copy(), still.copy()
     before[:, 104:] = moving[:, 104:]
     after[:, 104:] = np.roll(moving, 2, axis=0)[:, 104:]
-    now = found(painted(before), painted(after), points, points, workers)
+    now = found(painted(before), painted(after), points, points)
     off = np.linalg.norm(now.uv - points, axis=1)
     assert (~now.fits | (off < 0.6)).mean() > 0.85
     assert np.median(off[now.fits]) < 0.3
@@ -127,16 +117,16 @@ def test_a_patch_is_rescaled_along_any_direction() -> None:
     np.testing.assert_array_equal(is_rescaled(np.array(warps)), [False, False, True, True])
 
 
-def test_the_answer_does_not_depend_on_the_company(workers: ThreadPoolExecutor) -> None:
+def test_the_answer_does_not_depend_on_the_company() -> None:
     source, target = painted(texture(1)), painted(np.roll(texture(1), 1, 1))
     points = grid()
-    together = found(source, target, points, points, workers)
+    together = found(source, target, points, points)
     for i in (0, 31, 62):
-        alone = found(source, target, points[i : i + 1], points[i : i + 1], workers)
+        alone = found(source, target, points[i : i + 1], points[i : i + 1])
         np.testing.assert_array_equal(alone.uv[0], together.uv[i])
 
 
-def test_no_patches(workers: ThreadPoolExecutor) -> None:
+def test_no_patches() -> None:
     nothing = np.empty((0, 2))
-    now = found(painted(texture(1)), painted(texture(1)), nothing, nothing, workers)
+    now = found(painted(texture(1)), painted(texture(1)), nothing, nothing)
     assert (now.uv.shape, now.warp.shape, now.fits.shape) == ((0, 2), (0, 2, 2), (0,))

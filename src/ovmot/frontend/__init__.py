@@ -12,9 +12,15 @@ from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.settings import EpipolarSettings, TrackerSettings
 
 ImageFrontEnd = StereoTracker | MonocularTracker
+_Make = Callable[[StereoRig, TrackerSettings, EpipolarSettings, int], ImageFrontEnd]
 
-FRONT_ENDS: dict[str, Callable[[StereoRig, TrackerSettings, EpipolarSettings], ImageFrontEnd]] = {
+
+def _alone(*sides: int) -> _Make:
+    return lambda rig, settings, _, threads: MonocularTracker(rig, settings, sides, threads)
+
+
+FRONT_ENDS: dict[str, _Make] = {
     "stereo": StereoTracker,
-    "left": lambda rig, settings, _: MonocularTracker(rig, settings, (LEFT,)),
-    "each": lambda rig, settings, _: MonocularTracker(rig, settings, (LEFT, RIGHT)),
+    "left": _alone(LEFT),
+    "each": _alone(LEFT, RIGHT),
 }

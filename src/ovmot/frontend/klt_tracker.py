@@ -1,6 +1,5 @@
 """The KLT tracker of one camera: corners tracked from image to image."""
 
-from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,9 +63,8 @@ class FeatureIds:
 class KltTracker:
     """Tracks corners through one camera's images; remembers the last image and its points."""
 
-    def __init__(self, settings: TrackerSettings, workers: Executor, ids: FeatureIds) -> None:
+    def __init__(self, settings: TrackerSettings, ids: FeatureIds) -> None:
         self._settings = settings
-        self._workers = workers
         self._ids = ids
         self._pyramid: Pyramid | None = None
         self.points = no_points()
@@ -108,7 +106,7 @@ class KltTracker:
         start = np.where(moves[:, None], start, static_uv + last.extra_flow)
         # search there, and in other places for what is lost
         sought = Sought(self._pyramid, last.uv, self.patches, last.slot)
-        first = find_features(sought, view, start, near_levels(self._settings), self._workers)
+        first = find_features(sought, view, start, near_levels(self._settings))
         # a patch of the last image fits this one; an older one may be seen otherwise by now
         first = only_fitting(first, self.patches.is_new[last.slot])
         self.patches.is_new[:] = False
@@ -120,7 +118,7 @@ class KltTracker:
         unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])
         searched = self._search(view, static_uv, unknown, 2.0 * cell_px)
         starts = np.stack([nearby, elsewhere, searched])
-        now = recover_lost(sought, view, first, starts, static_uv, self._settings, self._workers)
+        now = recover_lost(sought, view, first, starts, static_uv, self._settings)
         xy = camera.normalize(now.uv)
         rows = np.flatnonzero(now.found & view.contains(now.uv) & np.isfinite(xy[:, 0]))
         uv, xy, slot = now.uv[rows], xy[rows], last.slot[rows]

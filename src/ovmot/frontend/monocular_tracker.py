@@ -3,8 +3,6 @@
 OpenVINS calls this a monocular or binocular `TrackKLT` (`use_stereo: false`).
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -15,6 +13,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import Feedback
+from ovmot.runtime import helping_thread
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -27,16 +26,22 @@ class MonocularTracker:
     `sides`: which cameras, of `LEFT` and `RIGHT`. A feature of the right camera has no left pixel.
     """
 
-    def __init__(self, rig: StereoRig, settings: TrackerSettings, sides: tuple[int, ...]) -> None:
+    def __init__(
+        self,
+        rig: StereoRig,
+        settings: TrackerSettings,
+        sides: tuple[int, ...],
+        threads: int = 1,
+    ) -> None:
         self._rig = rig
         self._settings = settings
-        self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
+        self._workers = helping_thread(threads)
         ids = FeatureIds()
-        self._trackers = {side: KltTracker(settings, self._workers, ids) for side in sides}
+        self._trackers = {side: KltTracker(settings, ids) for side in sides}
         self._positions = {side: np.empty((0, 3)) for side in sides}
 
     def close(self) -> None:
-        """Stop the worker threads."""
+        """Stop the helping thread."""
         self._workers.shutdown()
 
     def track(

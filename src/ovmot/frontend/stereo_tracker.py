@@ -3,8 +3,6 @@
 OpenVINS calls this a stereo `TrackKLT` (`use_stereo: true`).
 """
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -18,6 +16,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import positions
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import Feedback
+from ovmot.runtime import helping_thread
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
 
@@ -26,22 +25,27 @@ class StereoTracker:
     """Tracks corners through the left images and matches each anew into the right one.
 
     A stereo match is made in every frame from that frame's left patch, so that left and right
-    can not drift apart, and each passes the epipolar gate or loses its right half.
+    can not drift apart, and each passes the epipolar gate or loses its right half. With more than
+    one of `threads`, the right image is made ready beside the left one.
     """
 
     def __init__(
-        self, rig: StereoRig, settings: TrackerSettings, epipolar: EpipolarSettings
+        self,
+        rig: StereoRig,
+        settings: TrackerSettings,
+        epipolar: EpipolarSettings,
+        threads: int = 1,
     ) -> None:
         self._rig = rig
         self._settings = settings
         self._epipolar = epipolar
-        self._workers = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-klt")
-        self._left = KltTracker(settings, self._workers, FeatureIds())
+        self._workers = helping_thread(threads)
+        self._left = KltTracker(settings, FeatureIds())
         self._pairs = np.empty((0, 4))  # normalized coordinates of the last frame
         self._last_ns = 0
 
     def close(self) -> None:
-        """Stop the worker threads."""
+        """Stop the helping thread."""
         self._workers.shutdown()
 
     def track(
@@ -97,9 +101,9 @@ class StereoTracker:
         start = predict_right(points.xy, depth, self._rig)
         # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
-        first = find_features(sought, right, start, near_levels(self._settings), self._workers)
+        first = find_features(sought, right, start, near_levels(self._settings))
         no_other = np.empty((0, *start.shape))
-        seen = recover_lost(sought, right, first, no_other, start, self._settings, self._workers)
+        seen = recover_lost(sought, right, first, no_other, start, self._settings)
         uv = seen.uv
         ok = seen.found & right.contains(uv)
         # epipolar gate on every pair
