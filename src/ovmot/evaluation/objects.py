@@ -52,6 +52,7 @@ def object_scalars(metrics: ObjectMetrics) -> dict[str, float | None]:
         "object_boxes": float(clear.n_true),
         "object_recall": clear.recall,
         "object_precision": clear.precision,
+        "false_boxes": float(clear.false_positives),
         "mota": clear.mota,
         "motp": clear.motp,
         "id_switches": float(clear.id_switches),
