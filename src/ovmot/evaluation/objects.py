@@ -84,11 +84,13 @@ def object_scalars(metrics: ObjectMetrics) -> dict[str, float | None]:
 
 
 def label_scalars(counts: LabelCounts) -> dict[str, float | None]:
-    """Precision and recall of the label `dynamic`, and the share of resting points kept."""
+    """Precision and recall of the label `dynamic`, the share of resting points kept, and the number
+    of points."""
     return {
         "point_precision": counts.precision,
         "point_recall": counts.recall,
         "static_kept": counts.static_kept,
+        "points_a_frame": counts.a_frame,
     }
 
 
