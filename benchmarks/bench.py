@@ -32,8 +32,9 @@ VARIANTS = {"with": (), "without": ("objects.enabled=false",)}
 
 SPEED = (
     "sequence", "image", "objects", "frames", "frames/s", "wall, ms", "CPU, ms",
-    "frame: median / p95 / max, ms", "floor, ms", "x floor (least to greatest)", "start, s",
-    "x floor with start", "outside calls: of wall / of CPU, %", "calls a frame", "memory, MB",
+    "frame: median / p95 / max, ms", "floor, ms", "x floor (least to greatest)", "CPU x floor's",
+    "start, s", "x floor with start", "outside calls: of wall / of CPU, %",
+    "calls a frame", "memory, MB",
 )  # fmt: skip
 AGAINST = ("sequence", "program", "wall, s", "CPU, s", "memory, MB", "wall / ovmot's")
 
@@ -119,6 +120,7 @@ def _speed_row(recording: Recording, objects: str, turns: Turns) -> tuple[str, .
         f"{1e3 / wall:.1f}", f"{wall:.1f}", f"{turns.median('cpu_ms'):.1f}",
         spread(turns.frame_ms), f"{np.median(turns.floor_ms):.1f}",
         f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})",
+        f"{np.median(turns.cpu_ratios):.2f}",
         f"{turns.median('start_s'):.2f}", f"{np.median(turns.whole_ratios):.2f}",
         "" if share is None else f"{100 * share.of_wall:.0f} / {100 * share.of_cpu:.0f}",
         "" if share is None else f"{share.calls_a_frame:.0f}", f"{1e-6 * memory:.0f}",

@@ -15,11 +15,12 @@ from ovmot.geometry.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Turns:
-    """R runs of the odometry with the same settings; `floor_ms` (R,): the mean of the floor's
-    loops before and after each."""
+    """R runs of the odometry with the same settings; `floor_ms`, `floor_cpu_ms` (R,): wall and CPU
+    time of the floor, the mean of its loops before and after each run."""
 
     runs: tuple[RunTimes, ...]
     floor_ms: FloatArray
+    floor_cpu_ms: FloatArray
     share: PythonShare | None = None
 
     @property
@@ -31,6 +32,11 @@ class Turns:
     def whole_ratios(self) -> FloatArray:
         """The same with the start (R,)."""
         return np.array([run.whole_ms for run in self.runs]) / self.floor_ms
+
+    @property
+    def cpu_ratios(self) -> FloatArray:
+        """CPU time a frame in the steady state as a multiple of the floor's (R,)."""
+        return np.array([run.cpu_ms for run in self.runs]) / self.floor_cpu_ms
 
     @property
     def stage_ms(self) -> dict[str, FloatArray]:
@@ -65,17 +71,20 @@ def take_turns(
     """
     _run(recording, next(iter(variants.values())))
     pairs = recording.pairs
-    floors = [measure_floor(pairs).total_ms]
-    found: dict[str, list[tuple[RunTimes, float]]] = {name: [] for name in variants}
+    floors = [measure_floor(pairs)]
+    found: dict[str, list[tuple[RunTimes, float, float]]] = {name: [] for name in variants}
     for _ in range(runs):
         for name, settings in variants.items():
             run = _run(recording, settings)
-            floors.append(measure_floor(pairs).total_ms)
-            found[name].append((run, 0.5 * (floors[-2] + floors[-1])))
+            floors.append(measure_floor(pairs))
+            before, after = floors[-2:]
+            wall = 0.5 * (before.total_ms + after.total_ms)
+            found[name].append((run, wall, 0.5 * (before.cpu_ms + after.cpu_ms)))
     return {
         name: Turns(
-            tuple(run for run, _ in found[name]),
-            np.array([floor for _, floor in found[name]]),
+            tuple(run for run, *_ in found[name]),
+            np.array([wall for _, wall, _ in found[name]]),
+            np.array([cpu for *_, cpu in found[name]]),
             _share(recording, settings) if with_share else None,
         )
         for name, settings in variants.items()

@@ -36,14 +36,16 @@ _COLUMNS, _ROWS = 10, 5  # of the cells over which the points are spread
 
 @dataclass(frozen=True, slots=True)
 class FloorTimes:
-    """Mean milliseconds a frame of each of `STEPS`, and of the pyramids built twice."""
+    """Mean milliseconds a frame: wall time of each of `STEPS` and of the pyramids built twice, and
+    CPU time of the whole floor."""
 
     milliseconds: dict[str, float]
     repeated_ms: float
+    cpu_ms: float
 
     @property
     def total_ms(self) -> float:
-        """Milliseconds a stereo frame."""
+        """Wall time of the floor, ms a stereo frame."""
         return sum(self.milliseconds.values()) - self.repeated_ms
 
 
@@ -74,7 +76,11 @@ def measure_floor(pairs: Sequence[tuple[Image, Image]], n_points: int = N_POINTS
         with watch.step(_REPEATED):
             for image in (left, right):
                 cv2.buildOpticalFlowPyramid(image, _WINDOW, _MAX_LEVEL, withDerivatives=False)
-    return FloorTimes({step: watch.mean_ms(step) for step in STEPS}, 2.0 * watch.mean_ms(_REPEATED))
+    wall, cpu = watch.mean_ms()
+    return FloorTimes(
+        {step: wall.get(step, 0.0) for step in STEPS}, 2.0 * wall[_REPEATED],
+        sum(cpu.get(step, 0.0) for step in STEPS) - 2.0 * cpu[_REPEATED],
+    )  # fmt: skip
 
 
 def spread_corners(
@@ -106,19 +112,22 @@ def _flow(source: Image, target: Image, points: Points) -> None:
 
 
 class _Watch:
-    """Milliseconds of each time that a step was done."""
+    """Wall and CPU time of each time that a step was done, ms."""
 
     def __init__(self) -> None:
-        self._spent: dict[str, list[float]] = defaultdict(list)
+        self._spent: dict[str, list[tuple[float, float]]] = defaultdict(list)
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        begin = time.perf_counter()
+        cpu, begin = time.thread_time(), time.perf_counter()
         yield
-        self._spent[name].append(1e3 * (time.perf_counter() - begin))
+        wall, cpu = time.perf_counter() - begin, time.thread_time() - cpu
+        self._spent[name].append((1e3 * wall, 1e3 * cpu))
 
-    def mean_ms(self, name: str) -> float:
-        return float(np.mean(self._spent[name])) if self._spent[name] else 0.0
+    def mean_ms(self) -> tuple[dict[str, float], dict[str, float]]:
+        means = {name: np.mean(spent, axis=0) for name, spent in self._spent.items()}
+        wall, cpu = ({name: float(mean[k]) for name, mean in means.items()} for k in (0, 1))
+        return wall, cpu
 
 
 def main() -> None:
@@ -134,7 +143,8 @@ def main() -> None:
     listed = ", ".join(f"{step} {ms:.2f}" for step, ms in times.milliseconds.items())
     print(
         f"{arguments.folder.name}, {len(pairs)} pairs, {arguments.points} points: {listed},"
-        f" pyramids of the flow -{times.repeated_ms:.2f}; floor {times.total_ms:.2f} ms a frame"
+        f" pyramids of the flow -{times.repeated_ms:.2f}; floor {times.total_ms:.2f} ms a frame,"
+        f" {times.cpu_ms:.2f} ms of CPU"
     )
 
 

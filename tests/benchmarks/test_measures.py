@@ -29,6 +29,7 @@ def test_floor_times_every_step() -> None:
     times = measure_floor(pairs, 50)
     assert set(times.milliseconds) == set(STEPS)
     assert all(ms > 0.0 for ms in times.milliseconds.values())
+    assert times.cpu_ms > 0.0
     assert times.total_ms == pytest.approx(sum(times.milliseconds.values()) - times.repeated_ms)
 
 
