@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 REFERENCE_STAMP := $(VENV)/.installed-reference
 PYTEST_FLAGS ?= -n auto --dist loadgroup
+# arguments of `make bench`
+BENCH ?=
 # processors that `make test-portable` computes as; all, if none is named
 PROCESSORS ?=
 
@@ -76,8 +78,8 @@ check: install ## lint, format, types, layers
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-bench: install ## measure frames per second and milliseconds per stage
-	$(BIN)/python benchmarks/bench.py
+bench: install ## measure speed beside the floor of OpenCV alone (BENCH="--runs 3 FOLDER": see docs/performance.md)
+	$(BIN)/python benchmarks/bench.py $(BENCH)
 
 lock: ## bring the lock files in line with pyproject.toml (UPGRADE=--upgrade: newest versions)
 	@tools=$$(mktemp -d) && trap 'rm -rf "$$tools"' EXIT && \

@@ -50,7 +50,8 @@ def slope(path: dict[int, np.ndarray], frame: int) -> np.ndarray | None:
     if len(near) < 5:
         return None
     seconds = FRAME_S * (np.array(near) - frame)
-    return np.polyfit(seconds, np.array([path[f] for f in near]), 2)[1]
+    fitted: np.ndarray = np.polyfit(seconds, np.array([path[f] for f in near]), 2)[1]
+    return fitted
 
 
 def nearest(tracked: Positions, place: np.ndarray, frame: int) -> int | None:
@@ -94,4 +95,5 @@ def main(labels: Path, poses: Path, run: Path, ids: list[int]) -> None:
 if __name__ == "__main__":
     if len(sys.argv) < 5:
         sys.exit(__doc__)
-    main(*(Path(text) for text in sys.argv[1:4]), [int(text) for text in sys.argv[4:]])
+    labels, poses, run = (Path(text) for text in sys.argv[1:4])
+    main(labels, poses, run, [int(text) for text in sys.argv[4:]])

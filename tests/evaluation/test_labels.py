@@ -34,6 +34,7 @@ def test_labels_are_counted_where_the_image_is_sure(truth: ObjectTruth) -> None:
     assert found.precision == pytest.approx(2 / 3)
     assert found.recall == pytest.approx(2 / 3)
     assert found.static_kept == pytest.approx(2 / 3)
+    assert found.a_frame == 12.0
 
 
 def test_no_points_no_rates(truth: ObjectTruth) -> None:

@@ -115,7 +115,7 @@ def test_the_same_figures_as_the_scorer(
     for key, other in (
         ("object_boxes", "gt_boxes"), ("object_recall", "recall"),
         ("object_precision", "precision"), ("id_switches", "id_switches"),
-        ("idf1", "idf1"), ("object_speed_rmse_mps", "speed_rmse"),
+        ("false_boxes", "false_tracks"), ("idf1", "idf1"), ("object_speed_rmse_mps", "speed_rmse"),
         ("object_velocity_rmse_mps", "vel_rmse"), ("object_velocity_median_mps", "vel_median"),
         ("object_distance_mean_m", "pos_mean"),
     ):  # fmt: skip

@@ -16,12 +16,13 @@ _EDGE = np.ones((7, 7), dtype=np.uint8)
 @dataclass(frozen=True, slots=True)
 class LabelCounts:
     """Points labelled dynamic that move (`hits`) or rest (`false`), and points labelled static that
-    move (`missed`) or rest (`kept`)."""
+    move (`missed`) or rest (`kept`); and the number of all points in a frame, mean."""
 
     hits: int
     false: int
     missed: int
     kept: int
+    a_frame: float
 
     @property
     def precision(self) -> float | None:
@@ -66,6 +67,7 @@ def count_labels(
     return LabelCounts(
         hits=int(counts[1, 1]), false=int(counts[0, 1]),
         missed=int(counts[1, 0]), kept=int(counts[0, 0]),
+        a_frame=len(points.label) / max(len(np.unique(points.timestamp_ns)), 1),
     )  # fmt: skip
 
 

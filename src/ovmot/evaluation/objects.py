@@ -52,6 +52,7 @@ def object_scalars(metrics: ObjectMetrics) -> dict[str, float | None]:
         "object_boxes": float(clear.n_true),
         "object_recall": clear.recall,
         "object_precision": clear.precision,
+        "false_boxes": float(clear.false_positives),
         "mota": clear.mota,
         "motp": clear.motp,
         "id_switches": float(clear.id_switches),
@@ -83,11 +84,13 @@ def object_scalars(metrics: ObjectMetrics) -> dict[str, float | None]:
 
 
 def label_scalars(counts: LabelCounts) -> dict[str, float | None]:
-    """Precision and recall of the label `dynamic`, and the share of resting points kept."""
+    """Precision and recall of the label `dynamic`, the share of resting points kept, and the number
+    of points."""
     return {
         "point_precision": counts.precision,
         "point_recall": counts.recall,
         "static_kept": counts.static_kept,
+        "points_a_frame": counts.a_frame,
     }
 
 

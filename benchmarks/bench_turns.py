@@ -1,0 +1,101 @@
+"""Runs of the odometry and the floor's loop in turn, on one sequence in memory."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+import ovmot
+from bench_inputs import Recording
+from bench_run import RunTimes, run_once
+from bench_share import PythonShare, counted_calls, python_share
+from floor import measure_floor
+from ovmot.geometry.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """R runs of the odometry with the same settings; `floor_ms`, `floor_cpu_ms` (R,): wall and CPU
+    time of the floor, the mean of its loops before and after each run."""
+
+    runs: tuple[RunTimes, ...]
+    floor_ms: FloatArray
+    floor_cpu_ms: FloatArray
+    share: PythonShare | None = None
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Wall time a frame in the steady state as a multiple of the floor, of each run (R,)."""
+        return np.array([run.wall_ms for run in self.runs]) / self.floor_ms
+
+    @property
+    def whole_ratios(self) -> FloatArray:
+        """The same with the start (R,)."""
+        return np.array([run.whole_ms for run in self.runs]) / self.floor_ms
+
+    @property
+    def cpu_ratios(self) -> FloatArray:
+        """CPU time a frame in the steady state as a multiple of the floor's (R,)."""
+        return np.array([run.cpu_ms for run in self.runs]) / self.floor_cpu_ms
+
+    @property
+    def stage_ms(self) -> dict[str, FloatArray]:
+        """Milliseconds (N,) of each stage in each frame, the median over the runs."""
+        return {
+            name: np.median([run.stage_ms[name] for run in self.runs], axis=0)
+            for name in self.runs[0].stage_ms
+        }
+
+    @property
+    def frame_ms(self) -> FloatArray:
+        """Milliseconds (N,) of all stages of each frame, the median over the runs."""
+        return np.asarray(np.median([run.frame_ms for run in self.runs], axis=0))
+
+    def median(self, name: str) -> float:
+        """The median over the runs of one of their figures."""
+        return float(np.median([getattr(run, name) for run in self.runs]))
+
+
+def take_turns(
+    recording: Recording,
+    variants: Mapping[str, ovmot.Settings],
+    runs: int,
+    *,
+    with_share: bool = False,
+) -> dict[str, Turns]:
+    """The floor's loop and a run of each of the `variants` in turn, `runs` times.
+
+    One run of the first variant comes before them, so that all that is compiled or loaded at the
+    first use is there. `with_share`: one more run of each variant, with its calls counted. Raises
+    `OvmotError` where the odometry does not start.
+    """
+    _run(recording, next(iter(variants.values())))
+    pairs = recording.pairs
+    floors = [measure_floor(pairs)]
+    found: dict[str, list[tuple[RunTimes, float, float]]] = {name: [] for name in variants}
+    for _ in range(runs):
+        for name, settings in variants.items():
+            run = _run(recording, settings)
+            floors.append(measure_floor(pairs))
+            before, after = floors[-2:]
+            wall = 0.5 * (before.total_ms + after.total_ms)
+            found[name].append((run, wall, 0.5 * (before.cpu_ms + after.cpu_ms)))
+    return {
+        name: Turns(
+            tuple(run for run, *_ in found[name]),
+            np.array([wall for _, wall, _ in found[name]]),
+            np.array([cpu for *_, cpu in found[name]]),
+            _share(recording, settings) if with_share else None,
+        )
+        for name, settings in variants.items()
+    }
+
+
+def _run(recording: Recording, settings: ovmot.Settings) -> RunTimes:
+    return run_once(ovmot.Odometry(recording.rig, recording.imu_noise, settings), recording.events)
+
+
+def _share(recording: Recording, settings: ovmot.Settings) -> PythonShare:
+    with counted_calls() as clock:
+        run = _run(recording, settings)
+    return python_share(run, clock)
