@@ -1,6 +1,6 @@
 """Clusters of neighbouring points with one velocity: the candidates for rigid bodies."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,24 +13,16 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.clustering_kernel import components_compiled
+from ovmot.objects.motion_kernel import moving_points_compiled, points_to_look_at_compiled
 from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
     MAX_VEHICLE_SIZE_M,
     TURN_SPREAD_MPS,
     VARIANCE_FACTOR,
     gate,
-    gates,
 )
-from ovmot.segmentation.history_kernel import (
-    distance_from_static_compiled,
-    fit_velocities_compiled,
-    weigh_compiled,
-)
-from ovmot.segmentation.static_comparison import (
-    StaticComparison,
-    compare_with_static,
-    static_motion,
-)
+from ovmot.segmentation.motion_tests import velocity_gates
+from ovmot.segmentation.static_comparison import ego_motion_since, pairs_of, stereo_noise
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
@@ -86,44 +78,33 @@ def motion_history(
     These are points that one velocity explains and that do not seem static. A label `static` is no
     bar: what is too little to tell for a point may be enough for a group.
     """
-    T_now_then = static_motion(history, window, rig)
-    distance = distance_from_static_compiled(
-        history.p_then, history.p_now, history.cov_now, T_now_then
+    pairs, ego = pairs_of(history), ego_motion_since(history, window, rig)
+    seems_static = points.label == int(PointLabel.STATIC)
+    candidate, known = points_to_look_at_compiled(
+        pairs, history.cov_now, ego.T_now_then, seems_static, max_range_m, _HINT
     )
-    may_move = distance > _HINT
-    may_move |= points.label != int(PointLabel.STATIC)
-    with np.errstate(invalid="ignore"):
-        near = points.p_cam0[:, 2] < max_range_m
-    candidate = np.flatnonzero(near & may_move & np.isfinite(history.p_then[..., 2]).any(0))
     if len(candidate) < settings.min_points:
         return None
-    known = np.isfinite(history.p_then[:, candidate, 2]).sum(0)
-    u, owner = points.pixels[candidate, 0], points.track_id[candidate]
-    candidate = candidate[_chosen(known, u, owner)]
-    history = history.only(candidate)
-    comparison = compare_with_static(history, window, rig)
-    velocity, covariance, steady = _fit(comparison)
-    changes = ~steady & (points.track_id[candidate] >= 0)
-    if changes.any():
-        comparison = _shortened(comparison, changes)
-        velocity, covariance, steady = _fit(comparison)
-    kept = np.flatnonzero(steady & (squared_distance(velocity, covariance) > _MOVES))
-    if len(kept) < settings.min_points:
+    candidate = candidate[_chosen(known, points.pixels[candidate, 0], points.track_id[candidate])]
+    moving = moving_points_compiled(
+        pairs, ego, stereo_noise(history, rig), candidate, points.track_id[candidate] >= 0,
+        int(np.count_nonzero(history.span_s > _BRAKING_S)), ACCEL_SIGMA_MPS2,
+        VARIANCE_FACTOR * velocity_gates(len(history)), _MOVES,
+    )  # fmt: skip
+    if len(moving.point) < settings.min_points:
         return None
-    J, S = comparison.J_motion.take(kept, axis=1), comparison.S_motion.take(kept, axis=1)
-    weight, information = weigh_compiled(J, S, comparison.tested.take(kept, axis=1))
-    history = history.only(kept)
+    history = history.only(moving.point)
     return MotionHistory(
         feature_id=history.feature_id,
-        track_id=points.track_id[candidate[kept]],
+        track_id=points.track_id[moving.point],
         history=history,
-        predicted=comparison.predicted.take(kept, axis=1),
+        predicted=moving.predicted,
         p_cam0=history.p_now,
         cov_cam0=history.cov_now,
-        weight=weight,
-        information=information,
-        velocity=velocity[kept],
-        velocity_cov=covariance[kept],
+        weight=moving.weight,
+        information=moving.information,
+        velocity=moving.velocity,
+        velocity_cov=moving.velocity_cov,
         up=(window.T_world_imu[-1] @ rig.T_imu_cam0)[2, :3],
     )
 
@@ -135,37 +116,18 @@ def _chosen(known: IntArray, u: FloatArray, owner: IntArray) -> IntArray:
     others; then those followed longest.
     """
     looked_at = np.ones(len(owner), dtype=np.bool_)
-    for track_id in np.unique(owner[owner >= 0]):
+    track_ids, count = np.unique(owner, return_counts=True)
+    for track_id in track_ids[(track_ids >= 0) & (count > _POINTS_PER_TRACK)]:
         own = np.flatnonzero((owner == track_id) & (known > 1))
         if len(own) > _POINTS_PER_TRACK:
             across = own[np.argsort(u[own], kind="stable")]
             looked_at[own] = False
             looked_at[across[:: -(-len(own) // _POINTS_PER_TRACK)]] = True
     some = np.flatnonzero(looked_at)
+    if len(some) <= _MAX_POINTS:
+        return some
     longest = np.argsort(-known[some], kind="stable")[:_MAX_POINTS]
     return np.sort(some[longest])
-
-
-def _fit(comparison: StaticComparison) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Velocity (M, 3), its covariance (M, 3, 3), and whether it explains all rows (M,)."""
-    tested, span_s, J = comparison.tested, comparison.span_s, comparison.J_motion
-    slack = (0.5 * ACCEL_SIGMA_MPS2 * span_s**2) ** 2
-    velocity, covariance, cost = fit_velocities_compiled(
-        comparison.residual, J, comparison.S_motion, J, slack, span_s, tested
-    )
-    steady = cost < VARIANCE_FACTOR * gates(np.maximum(4 * tested.sum(0) - 3, 1), 0.999)
-    return velocity, covariance, steady
-
-
-def _shortened(comparison: StaticComparison, which: BoolArray) -> StaticComparison:
-    """Some points (M,) by their last rows alone: a car that brakes was faster before.
-
-    For points of tracks: else any jump of a patch would be a motion.
-    """
-    old = comparison.span_s > _BRAKING_S
-    residual = comparison.residual.copy()
-    residual[np.ix_(old, which)] = np.nan
-    return replace(comparison, residual=residual)
 
 
 def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntArray, ...]:
