@@ -8,6 +8,7 @@ from ovmot.kernels.small_matrices import (
     add_products,
     cross,
     invert_symmetric,
+    solve_positive,
     squared_mahalanobis,
     whiten,
 )
@@ -56,3 +57,10 @@ def test_the_squared_distance(rng: np.random.Generator) -> None:
     C, error = positive(rng, 3), rng.normal(size=3)
     expected = error @ np.linalg.solve(C, error)
     np.testing.assert_allclose(squared_mahalanobis(error, C), expected, rtol=1e-9)
+
+
+def test_the_solution(rng: np.random.Generator) -> None:
+    A, b = positive(rng, 6), rng.normal(size=6)
+    x = b.copy()
+    solve_positive(np.tril(A), x)
+    np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-9, atol=1e-12)

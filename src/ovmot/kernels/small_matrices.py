@@ -7,7 +7,7 @@ plain NumPy twins.
 import math
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernels.cache import inlined_part
+from ovmot.kernels.cache import inlined_part, part
 
 Vector = tuple[float, float, float]
 
@@ -67,3 +67,22 @@ def whiten(S: FloatArray, rows: FloatArray, first: int) -> None:
             for k in range(i):
                 rows[i, c] -= S[i, k] * rows[k, c]
             rows[i, c] *= S[i, i]
+
+
+@part
+def solve_positive(A: FloatArray, x: FloatArray) -> None:
+    """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
+    n = len(x)
+    for i in range(n):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= A[i, k] * A[j, k]
+            A[i, j] = math.sqrt(total) if i == j else total / A[j, j]
+        for k in range(i):
+            x[i] -= A[i, k] * x[k]
+        x[i] /= A[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= A[k, i] * x[k]
+        x[i] /= A[i, i]
