@@ -19,7 +19,7 @@ MOST_PX = 2.0
 
 def reprojection_test(evidence: Evidence, settings: SegmentationSettings) -> Verdict:
     """A point moves where its prediction misses it by more than two pixels in either camera."""
-    tested = evidence.comparison.tested[-1]  # against the last frame
+    tested = evidence.in_last  # against the last frame
     with np.errstate(invalid="ignore"):
         moving = tested & (evidence.reprojection_px > MOST_PX)
     return Verdict(tested, moving, unclear=np.zeros_like(tested))

@@ -71,8 +71,8 @@ class StereoHistory:
     `feature_id` (N,); `row` (L,): rows of the feature table; `clone_ns` (L,): the clones that hold
     their poses; `span_s` (L,) seconds and `n_frames` (L,) frames before now. `then` (L, N, 4) and
     `now` (N, 4): normalized coordinates. `p_then` (L, N, 3), `p_now` (N, 3): positions in the left
-    camera of that time, metres, with covariances `cov_then` (L, N, 3, 3), `cov_now` (N, 3, 3). NaN
-    where there is no stereo pair. `noise`: that of the pixels, from which the covariances follow.
+    camera of that time, metres; `cov_now` (N, 3, 3): covariance now. NaN where there is no stereo
+    pair. `noise`: that of the pixels, from which the covariances follow.
     """
 
     feature_id: IntArray
@@ -83,7 +83,6 @@ class StereoHistory:
     then: FloatArray
     now: FloatArray
     p_then: FloatArray
-    cov_then: FloatArray
     p_now: FloatArray
     cov_now: FloatArray
     noise: PixelNoise
@@ -93,9 +92,8 @@ class StereoHistory:
 
     def younger(self, max_span_s: float) -> "StereoHistory":
         """The history without the frames that are longer ago."""
-        kept = self.span_s < max_span_s + 0.5 * LOOK_BACK_TOLERANCE * self.span_s.min(
-            initial=max_span_s
-        )
+        reach = max_span_s + 0.5 * LOOK_BACK_TOLERANCE * self.span_s.min(initial=max_span_s)
+        kept = slice(int(np.count_nonzero(self.span_s >= reach)), None)  # the oldest come first
         return replace(
             self,
             row=self.row[kept],
@@ -104,7 +102,6 @@ class StereoHistory:
             n_frames=self.n_frames[kept],
             then=self.then[kept],
             p_then=self.p_then[kept],
-            cov_then=self.cov_then[kept],
         )
 
     def only(self, index: IntArray) -> "StereoHistory":
@@ -115,7 +112,6 @@ class StereoHistory:
             then=self.then.take(index, axis=1),
             now=self.now[index],
             p_then=self.p_then.take(index, axis=1),
-            cov_then=self.cov_then.take(index, axis=1),
             p_now=self.p_now[index],
             cov_now=self.cov_now[index],
         )
@@ -132,15 +128,11 @@ def empty_table() -> FeatureTable:
 def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     """The table with one more row, and a column for each feature that is new in it."""
     n_rows, n_old = table.shape
-    new_ids = seen.feature_id[~np.isin(seen.feature_id, table.feature_id)]
-    n_new = len(new_ids)
-    feature_id = np.concatenate([table.feature_id, new_ids])
-    column = positions(seen.feature_id, feature_id)
+    column = table.columns(seen.feature_id)
+    new = column < 0
+    n_new = int(np.count_nonzero(new))
+    column[new] = np.arange(n_old, n_old + n_new)
 
-    pixels = np.full((n_rows + 1, n_old + n_new, 4), np.nan)
-    normalized = np.full_like(pixels, np.nan)
-    pixels[:n_rows, :n_old], normalized[:n_rows, :n_old] = table.pixels, table.normalized
-    pixels[n_rows, column], normalized[n_rows, column] = seen.pixels, seen.normalized
     track_length = np.concatenate([table.track_length, np.zeros(n_new, dtype=np.int64)])
     track_length[column] = seen.track_length
     used = np.zeros((n_rows + 1, n_old + n_new), dtype=np.bool_)
@@ -148,9 +140,9 @@ def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     return FeatureTable(
         frame_ns=np.append(table.frame_ns, seen.timestamp_ns),
         clone_ns=np.append(table.clone_ns, seen.timestamp_ns),
-        feature_id=feature_id,
-        pixels=pixels,
-        normalized=normalized,
+        feature_id=np.concatenate([table.feature_id, seen.feature_id[new]]),
+        pixels=_with_row(table.pixels, seen.pixels, column, n_new),
+        normalized=_with_row(table.normalized, seen.normalized, column, n_new),
         track_length=track_length,
         used=used,
         dynamic=np.concatenate([table.dynamic, np.zeros(n_new, dtype=np.bool_)]),
@@ -158,16 +150,26 @@ def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     )
 
 
+def _with_row(before: FloatArray, newest: FloatArray, column: IntArray, n_new: int) -> FloatArray:
+    """Values (T + 1, F + n, 4) of the rows before (T, F, 4) and of the newest (N, 4), else NaN."""
+    n_rows, n_old = before.shape[:2]
+    out = np.empty((n_rows + 1, n_old + n_new, 4))
+    out[:n_rows, :n_old], out[:n_rows, n_old:], out[n_rows] = before, np.nan, np.nan
+    out[n_rows, column] = newest
+    return out
+
+
 def mark_dynamic(table: FeatureTable, feature_id: IntArray) -> FeatureTable:
     """The table with these features closed to the filter for good."""
-    return replace(table, dynamic=table.dynamic | np.isin(table.feature_id, feature_id))
+    dynamic, column = table.dynamic.copy(), table.columns(feature_id)
+    dynamic[column[column >= 0]] = True
+    return replace(table, dynamic=dynamic)
 
 
 def mark_outliers(table: FeatureTable, feature_id: IntArray, outlier: BoolArray) -> FeatureTable:
     """The table with a new verdict on the features (N,) seen now; of others the last one stays."""
-    out = table.outlier.copy()
-    out[np.isin(table.feature_id, feature_id)] = False
-    out[np.isin(table.feature_id, feature_id[outlier])] = True
+    out, column = table.outlier.copy(), table.columns(feature_id)
+    out[column[column >= 0]] = outlier[column >= 0]
     return replace(table, outlier=out)
 
 
@@ -211,8 +213,8 @@ def _select_columns(table: FeatureTable, columns: BoolArray) -> FeatureTable:
     return replace(
         table,
         feature_id=table.feature_id[columns],
-        pixels=table.pixels[:, columns],
-        normalized=table.normalized[:, columns],
+        pixels=table.pixels.compress(columns, axis=1),
+        normalized=table.normalized.compress(columns, axis=1),
         track_length=table.track_length[columns],
         used=table.used[:, columns],
         dynamic=table.dynamic[columns],

@@ -144,8 +144,8 @@ def test_the_first_use_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_key_covers_what_a_kernel_calls() -> None:
-    source = Path(ovmot.__file__).parent / "segmentation/history_kernel.py"
+    source = Path(ovmot.__file__).parent / "segmentation/comparison_kernel.py"
     names = {path.name for path in compiled_sources(source)}
-    assert names == {"history_kernel.py", "cache.py", "small_matrices.py", "stereo.py"}
-    alone = Path(ovmot.__file__).parent / "objects/clustering_kernel.py"
-    assert {path.name for path in compiled_sources(alone)} == {"clustering_kernel.py", "cache.py"}
+    assert names == {"comparison_kernel.py", "cache.py", "small_matrices.py", "stereo.py"}
+    alone = Path(ovmot.__file__).parent / "objects/rigid_kernel.py"
+    assert {path.name for path in compiled_sources(alone)} == {"rigid_kernel.py", "cache.py"}

@@ -8,8 +8,9 @@ from ovmot.kernels.small_matrices import (
     add_products,
     cross,
     invert_symmetric,
+    solve_positive,
+    squared_mahalanobis,
     whiten,
-    whiten_with,
 )
 
 
@@ -43,11 +44,23 @@ def test_products_are_added(rng: np.random.Generator) -> None:
 
 def test_whitened_rows_have_unit_covariance(rng: np.random.Generator) -> None:
     S, rows = positive(rng, 4), rng.normal(size=(4, 3))
-    factor, white = S.copy(), rows.copy()
-    whiten(factor, white)
+    factor, white = np.tril(S), rows.copy()
+    whiten(factor, white, 1)
     L = np.linalg.cholesky(S)
-    np.testing.assert_allclose(np.tril(factor), L, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(white, np.linalg.solve(L, rows), rtol=1e-9, atol=1e-12)
-    again = rows.copy()
-    whiten_with(np.tril(factor), again)
-    np.testing.assert_allclose(again, white, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(np.tril(factor, -1), np.tril(L, -1), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.diag(factor), 1.0 / np.diag(L), rtol=1e-9)
+    expected = np.column_stack([rows[:, 0], np.linalg.solve(L, rows[:, 1:])])
+    np.testing.assert_allclose(white, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_squared_distance(rng: np.random.Generator) -> None:
+    C, error = positive(rng, 3), rng.normal(size=3)
+    expected = error @ np.linalg.solve(C, error)
+    np.testing.assert_allclose(squared_mahalanobis(error, C), expected, rtol=1e-9)
+
+
+def test_the_solution(rng: np.random.Generator) -> None:
+    A, b = positive(rng, 6), rng.normal(size=6)
+    x = b.copy()
+    solve_positive(np.tril(A), x)
+    np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-9, atol=1e-12)

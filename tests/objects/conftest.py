@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from street_fixtures import (
     body,
+    compared_case,
     drive,
     in_view,
     measure,
@@ -25,6 +26,7 @@ from ovmot.types import PixelNoise, PoseWindow, ScenePoints
 
 __all__ = [
     "body",
+    "compared_case",
     "drive",
     "history_of",
     "in_view",

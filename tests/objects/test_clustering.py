@@ -13,7 +13,9 @@ SETTINGS = ObjectSettings()
 
 
 def _ids(history: MotionHistory, settings: ObjectSettings = SETTINGS) -> list[set[int]]:
-    return [set(history.feature_id[g].tolist()) for g in group_points(history, settings)]
+    index, size = group_points(history, settings)
+    groups = np.split(history.feature_id[index], np.cumsum(size)[:-1])
+    return [set(g.tolist()) for g in groups]
 
 
 def test_velocities_of_points_are_consistent(

@@ -10,10 +10,11 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.refinement_kernel import (
-    Reduced,
+    Refined,
     WeightedViews,
     reduce_points,
-    reduce_points_compiled,
+    refine,
+    refine_compiled,
     through_body,
     view_rows,
 )
@@ -91,14 +92,11 @@ def test_derivatives_are_those_of_finite_differences(
         np.testing.assert_allclose(rows[:, 3 + k], apart / (2.0 * step), rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize("reduce", [reduce_points, reduce_points_compiled])
-def test_points_are_eliminated_as_in_the_twin(
-    seen: tuple[FloatArray, WeightedViews], reduce: Callable[..., Reduced]
-) -> None:
+def test_points_are_eliminated_as_in_the_twin(seen: tuple[FloatArray, WeightedViews]) -> None:
     point, s = seen
     huber, bound = np.full(2 * N, 2.0), np.full(2 * N, 30.0)
     bound[5] = 0.0
-    out = reduce(point, TWIST, s, huber, bound)
+    out = reduce_points(point, TWIST, s, huber, 0.5 * bound, 2.0)
     assert not out.inlier[5] and (out.weight[out.inlier] < 1.0).any()
     information, gradient = np.zeros((2, 6, 6)), np.zeros((2, 6))
     for n in range(2 * N):
@@ -118,3 +116,31 @@ def test_points_are_eliminated_as_in_the_twin(
             gradient[s.body[n]] += w * (J.T @ r - K @ A.T @ r)
     np.testing.assert_allclose(out.information, information, rtol=1e-6, atol=1e-5)
     np.testing.assert_allclose(out.gradient, gradient, rtol=1e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize("kernel", [refine, refine_compiled])
+def test_the_iterations_are_those_of_the_twin(
+    seen: tuple[FloatArray, WeightedViews], kernel: Callable[..., Refined]
+) -> None:
+    """Six steps of Gauss-Newton at most, the first two with a wide bound for outliers."""
+    start, s = seen
+    twist, body = TWIST + 0.05, s.body
+    huber, bound, prior = np.full(2 * N, 2.0), np.full(2 * N, 90.0), np.full((2, 6), 0.5)
+    found = kernel(start, twist, s, huber, bound, prior)
+    point = start.copy()
+    for iteration in range(6):
+        wide = iteration < 2
+        reduced = reduce_points(point, twist, s, huber, bound, 9.0 if wide else 1.0)
+        information = reduced.information + np.eye(6) * (prior[:, None] + 1e-6)
+        gradient = reduced.gradient - prior * twist
+        step = np.linalg.solve(information, gradient[..., None])[..., 0]
+        by_point = reduced.step - np.einsum("mi,mij->mj", step[body], reduced.K)
+        by_point[:, 2] = np.clip(by_point[:, 2], -0.5 * point[:, 2], point[:, 2])
+        point, twist = point + by_point, twist + step
+        if not wide and (step * gradient).sum(1).max() < 0.02:
+            break
+    np.testing.assert_allclose(found.twist, twist, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found.point, point, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(found.information, information, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(found.inlier, reduced.inlier)
+    assert found.inlier.sum() > N

@@ -1,7 +1,5 @@
 """The compiled search for a rigid motion equals its plain NumPy twin."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -10,9 +8,11 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.rigid_kernel import (
+    BATCH,
     HEIGHT_SIGMAS,
-    best_motion,
-    best_motion_compiled,
+    Sample,
+    best_row,
+    ransac,
 )
 
 GATE, TURN_PENALTY = 18.5, 11.3
@@ -53,34 +53,38 @@ def twin(
     return float(cost[k]), T[k], distance[k] < gate
 
 
-@pytest.mark.parametrize("search", [best_motion, best_motion_compiled])
 @pytest.mark.parametrize("twist", [TURN, np.array([0.0, 0.0, 0.0, 0.5, 0.1, 1.5])])
-def test_the_search_equals_its_twin(
-    rig: StereoRig, twist: FloatArray, search: Callable[..., tuple[float, FloatArray, BoolArray]]
-) -> None:
+def test_the_search_equals_its_twin(rig: StereoRig, twist: FloatArray) -> None:
+    """As many batches of the same triples are drawn, and the best of all proposals is found."""
     rng = np.random.default_rng(4)
     p = rng.uniform([-2.0, -1.0, 12.0], [2.0, 1.0, 15.0], (20, 3))
     q = se3.apply(se3.exp(twist), p) + rng.normal(0.0, 0.01, p.shape)
     q[:4] += 1.0
     L = rng.normal(0.0, 200.0, (20, 4, 4))
     weight = L @ np.swapaxes(L, 1, 2) + 1e6 * np.eye(4)
-    seen = project_stereo(q, rig.T_cam1_cam0)[0]
-    triples = np.argsort(rng.random((24, 20)), axis=1)[:, :3].copy()
-    given = (
-        triples,
-        p,
-        q,
-        rng.uniform(0.02, 0.2, 20),
-        seen,
-        weight,
-        rig.T_cam1_cam0,
-        np.cos(0.3),
-        GATE,
-        TURN_PENALTY,
-    )
-    expected = twin(*given)
-    cost, T, inlier = search(*given)
-    np.testing.assert_allclose(cost, expected[0], rtol=1e-9)
+    sigma, seen = rng.uniform(0.02, 0.2, 20), project_stereo(q, rig.T_cam1_cam0)[0]
+    T10, least_cosine = np.ascontiguousarray(rig.T_cam1_cam0), float(np.cos(0.3))
+    T, inlier, drawing = np.empty((4, 4)), np.empty(20, np.bool_), np.random.default_rng(7)
+    sample = Sample(p, q, sigma, seen, weight)
+    n = ransac(sample, T10, GATE, TURN_PENALTY, least_cosine, drawing, T, inlier)
+    same = np.random.default_rng(7)
+    triples = np.argsort(same.random((BATCH, 20)), axis=1)[:, :3].copy()
+    expected = twin(triples, p, q, sigma, seen, weight, T10, least_cosine, GATE, TURN_PENALTY)
     np.testing.assert_allclose(T, expected[1], atol=1e-9)
     np.testing.assert_array_equal(inlier, expected[2])
-    assert not inlier[:4].any() and inlier[4:].any()
+    assert n == inlier.sum() and not inlier[:4].any() and n > 4
+    assert drawing.random() == same.random()
+
+
+def test_errors_are_traces_of_the_inverse() -> None:
+    """The row of the least error; one that too few of the points saw does not count."""
+    rng, index, span = np.random.default_rng(5), np.array([1, 4, 5]), np.array([0.8, 0.4, 0.2, 0.1])
+    for accel in (0.0, 20.0):
+        L = rng.normal(0.0, 3.0, (4, 9, 3, 3))
+        information = L @ np.swapaxes(L, -1, -2)
+        weight = np.tile(np.eye(4), (4, 9, 1, 1))
+        weight[0, [1, 5]] = 0.0
+        inverse = np.linalg.inv(information[:, index].sum(1) + 1e-6 * np.eye(3))
+        error = np.trace(inverse, axis1=1, axis2=2) / span**2 + 0.5 * (accel * span) ** 2
+        found = best_row(weight, information, index, span, accel)
+        assert found == 1 + int(np.argmin(error[1:]))

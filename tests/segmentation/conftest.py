@@ -2,6 +2,7 @@
 
 from street_fixtures import (
     body,
+    compared_case,
     drive,
     in_view,
     measure,
@@ -12,6 +13,7 @@ from street_fixtures import (
 
 __all__ = [
     "body",
+    "compared_case",
     "drive",
     "in_view",
     "measure",

@@ -13,10 +13,9 @@ from ovmot.segmentation.motion_tests import (
     Evidence,
     Verdict,
     covariance_test,
-    examine_static,
     fixed_test,
+    gather_evidence,
 )
-from ovmot.segmentation.static_comparison import compare_with_static
 from ovmot.segmentation.stereo_history import history_of
 from ovmot.settings import SegmentationSettings
 from ovmot.types import PixelNoise, PoseWindow
@@ -46,6 +45,7 @@ def evidence_of(
         seed: int = 0,
         wrong: Callable[[FloatArray], None] = lambda _: None,
         drift_mps: float = 0.0,
+        settings: SegmentationSettings = SETTINGS,
     ) -> Evidence:
         T = drive(N_FRAMES)
         T_world_cam = T[-1] @ rig.T_imu_cam0
@@ -62,9 +62,7 @@ def evidence_of(
             m[index], m[-1], np.arange(len(p_cam)), index, window.timestamp_ns[index], age[index],
             N_FRAMES - 1 - index, rig, NOISE,
         )  # fmt: skip
-        zero = np.zeros(len(p_cam))
-        comparison = compare_with_static(history, window, rig)
-        return Evidence(comparison, history.p_now, history.cov_now, zero, zero)
+        return gather_evidence(history, window, rig, settings)
 
     return make
 
@@ -85,9 +83,9 @@ def car(x: float, depth: float, n: int = 6, seed: int = 1) -> FloatArray:
 
 def test_the_false_alarm_rate_is_the_one_set(evidence_of: Measured) -> None:
     """One comparison, nothing forgiven: the share of resting points beyond the bound."""
-    evidence = evidence_of(scattered(10_000, (6.0, 15.0)), rows=(15,))
     for rate in (0.05, 0.01):
         told = SETTINGS.model_copy(update={"false_alarm": rate, "forgiven_speed_mps": 0.0})
+        evidence = evidence_of(scattered(10_000, (6.0, 15.0)), rows=(15,), settings=told)
         verdict = covariance_test(evidence, told)
         assert verdict.tested.all()
         assert (verdict.unclear | verdict.moving).mean() == pytest.approx(rate, rel=0.25)
@@ -119,7 +117,7 @@ def test_a_body_at_15_m_is_found(
 
 def test_the_velocity_is_the_body_s(evidence_of: Measured) -> None:
     velocity = np.array([2.0, -0.5, 0.0])
-    rest = examine_static(evidence_of(car(0.0, 12.0, 300), velocity).comparison, SETTINGS)
+    rest = evidence_of(car(0.0, 12.0, 300), velocity)
     error = rest.velocity - velocity
     assert rest.explained.mean() > 0.99
     np.testing.assert_allclose(error.mean(0), 0.0, atol=0.05)
@@ -160,11 +158,12 @@ def test_neighbours_of_different_velocity_are_no_support(evidence_of: Measured) 
 
 
 def test_a_drift_of_the_ego_motion_is_forgiven_up_to_its_speed(evidence_of: Measured) -> None:
-    evidence = evidence_of(scattered(300, (4.0, 12.0)), drift_mps=0.25)
+    p = scattered(300, (4.0, 12.0))
     strict = SETTINGS.model_copy(update={"forgiven_speed_mps": 0.0})
     kind = SETTINGS.model_copy(update={"forgiven_speed_mps": 0.3})
-    assert covariance_test(evidence, strict).moving.mean() > 0.5
-    verdict = covariance_test(evidence, kind)
+    drifting = evidence_of(p, drift_mps=0.25, settings=strict)
+    assert covariance_test(drifting, strict).moving.mean() > 0.5
+    verdict = covariance_test(evidence_of(p, drift_mps=0.25, settings=kind), kind)
     assert verdict.moving.mean() < 0.01
     assert verdict.unclear.mean() < 0.01
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from static_twin import StaticComparison, compare_with_static
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
 from ovmot.segmentation.stereo_history import history_of
 from ovmot.types import PixelNoise, PoseWindow
 

@@ -70,10 +70,10 @@ def test_positions_and_covariances_are_those_of_the_pairs(
     np.testing.assert_array_equal(history.then, then)
     p = triangulate_stereo(then, rig.T_cam1_cam0)
     np.testing.assert_allclose(history.p_then, p, rtol=1e-10)
-    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(NOISE.sigma_px))
-    np.testing.assert_allclose(history.cov_then, C, rtol=1e-7, atol=1e-12)
     now = triangulate_stereo(m[-1, ::-1], rig.T_cam1_cam0)
     np.testing.assert_allclose(history.p_now, now, rtol=1e-10)
+    C = stereo_covariance(now, rig.T_cam1_cam0, rig.normalized_sigma(NOISE.sigma_px))
+    np.testing.assert_allclose(history.cov_now, C, rtol=1e-7, atol=1e-12)
 
 
 def test_some_features_and_younger_frames(recorded: Recorded, rig: StereoRig) -> None:

@@ -55,9 +55,19 @@ def reordered_part(function: _F) -> _F:
     return _njit(function, cache=False, reorder=True)
 
 
-def _njit(function: _F, cache: bool, reorder: bool) -> _F:
+def inlined_part(function: _F) -> _F:
+    """A part whose code is put where it is called: for small ones, or those called at one place.
+
+    A call counts references to each array that it hands over, which costs more than a few sums.
+    """
+    return _njit(function, cache=False, reorder=False, inline=True)
+
+
+def _njit(function: _F, cache: bool, reorder: bool, inline: bool = False) -> _F:
     fastmath = {"reassoc", "contract", "nsz"} if reorder else False
-    decorate: Any = numba.njit(nogil=True, error_model="numpy", cache=cache, fastmath=fastmath)
+    decorate: Any = numba.njit(
+        nogil=True, error_model="numpy", cache=cache, fastmath=fastmath, forceinline=inline
+    )
     return cast(_F, decorate(function))
 
 

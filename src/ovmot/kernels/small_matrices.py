@@ -7,18 +7,18 @@ plain NumPy twins.
 import math
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernels.cache import part
+from ovmot.kernels.cache import inlined_part, part
 
 Vector = tuple[float, float, float]
 
 
-@part
+@inlined_part
 def cross(a: Vector, b: Vector) -> Vector:
     """Cross product a x b of vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@part
+@inlined_part
 def invert_symmetric(N: FloatArray, out: FloatArray) -> None:
     """Inverse (3, 3) of a symmetric matrix, given by its upper triangle, by cofactors."""
     a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
@@ -30,7 +30,18 @@ def invert_symmetric(N: FloatArray, out: FloatArray) -> None:
     out[1, 2] = out[2, 1] = (b * c - a * e) / det
 
 
-@part
+@inlined_part
+def squared_mahalanobis(error: FloatArray, C: FloatArray) -> float:
+    """eᵀ C⁻¹ e of an error (3,) with covariance (3, 3), by cofactors."""
+    a, b, c, d, e, f = C[0, 0], C[0, 1], C[0, 2], C[1, 1], C[1, 2], C[2, 2]
+    A, B, D = d * f - e * e, c * e - b * f, b * e - c * d
+    x, y, z = error[0], error[1], error[2]
+    total = A * x * x + (a * f - c * c) * y * y + (a * d - b * b) * z * z
+    total += 2.0 * (B * x * y + D * x * z + (b * c - a * e) * y * z)
+    return float(total / (a * A + b * B + c * D))
+
+
+@inlined_part
 def add_products(rows: FloatArray, out: FloatArray) -> None:
     """Add rowsᵀ rows (k, k) of rows (4, k)."""
     for a in range(rows.shape[1]):
@@ -39,16 +50,23 @@ def add_products(rows: FloatArray, out: FloatArray) -> None:
                 out[a, b] += rows[i, a] * rows[i, b]
 
 
-@part
-def whiten(S: FloatArray, rows: FloatArray) -> None:
-    """Replace S (4, 4) by its Cholesky factor L, and rows (4, k) by L⁻¹ rows."""
+@inlined_part
+def whiten(S: FloatArray, rows: FloatArray, first: int) -> None:
+    """Replace S (4, 4) by its Cholesky factor L, and rows (4, k) from column `first` by L⁻¹ rows.
+
+    The lower triangle of S counts, and its diagonal becomes that of 1/L.
+    """
     for i in range(4):
         for j in range(i + 1):
             total = S[i, j]
             for k in range(j):
                 total -= S[i, k] * S[j, k]
-            S[i, j] = math.sqrt(total) if i == j else total / S[j, j]
-    whiten_with(S, rows)
+            S[i, j] = 1.0 / math.sqrt(total) if i == j else total * S[j, j]
+    for c in range(first, rows.shape[1]):
+        for i in range(4):
+            for k in range(i):
+                rows[i, c] -= S[i, k] * rows[k, c]
+            rows[i, c] *= S[i, i]
 
 
 @part
@@ -76,3 +94,21 @@ def invert_definite(A: FloatArray) -> None:
                 A[i, p] = 0.0
                 for j in range(n):
                     A[i, j] -= factor * A[p, j]
+
+
+def solve_positive(A: FloatArray, x: FloatArray) -> None:
+    """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
+    n = len(x)
+    for i in range(n):
+        for j in range(i + 1):
+            total = A[i, j]
+            for k in range(j):
+                total -= A[i, k] * A[j, k]
+            A[i, j] = math.sqrt(total) if i == j else total / A[j, j]
+        for k in range(i):
+            x[i] -= A[i, k] * x[k]
+        x[i] /= A[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= A[k, i] * x[k]
+        x[i] /= A[i, i]

@@ -10,7 +10,6 @@ from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.clustering import (
-    NEIGHBOUR_RADIUS_M,
     MotionHistory,
     compatible_tracks,
     group_points,
@@ -18,10 +17,12 @@ from ovmot.objects.clustering import (
     motion_history,
     same_body_velocity,
 )
+from ovmot.objects.clustering_kernel import NEIGHBOUR_RADIUS_M
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
-from ovmot.objects.rigid_motion import RigidGroup, best_row, extract_motions
+from ovmot.objects.rigid_kernel import Motions
+from ovmot.objects.rigid_motion import extract_motions
 from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion, known_part
-from ovmot.physics import MAX_VEHICLE_SIZE_M, gates
+from ovmot.physics import MAX_VEHICLE_SIZE_M, gate
 from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PoseWindow, ScenePoints
 
@@ -87,22 +88,20 @@ def measure_objects(
     if moving is None:
         return ()
     # 2 clusters of neighbours with one velocity
-    groups = group_points(moving, settings)
+    clustered, size = group_points(moving, settings)
     # 3 rigid motions in each cluster
-    motions = [extract_motions(moving, group, rig, settings, rng) for group in groups]
-    found = [motion for of_group in motions for motion in of_group]
-    group_of = np.repeat(np.arange(len(groups)), [len(of_group) for of_group in motions])
-    if not found:
+    found = extract_motions(moving, clustered, size, rig, settings, rng)
+    if len(found.size) == 0:
         return ()
     # 4 bundle adjustment of motions and points
-    views, twist, row = _views_of(moving, found, window, rig, settings)
-    index = np.concatenate([group.index for group in found])
+    index, row = found.point, found.velocity_row
+    views, twist = _views_of(moving, found, window, rig)
     may_turn = _turns_observable(moving, index, views.body)
     refined = refine_bodies(
         views, twist, moving.p_cam0[index], may_turn, rig, settings, history.noise
     )
     # 5 bodies with enough inliers, with their covariances
-    members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found))]
+    members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found.size))]
     enough = [k for k, own in enumerate(members) if len(own) >= settings.min_points]
     clones = _clones_of(history, window)[row[enough]]
     measurements = _measurements(
@@ -112,7 +111,7 @@ def measure_objects(
     # 6 those that move and are no part of another
     track_of = [majority_track(moving.track_id[index[members[k]]]) for k in enough]
     bodies = [
-        _Body(int(group_of[k]), track_id, measurement)
+        _Body(int(found.group[k]), track_id, measurement)
         for k, track_id, measurement in zip(enough, track_of, measurements, strict=True)
         if _moves(measurement, views.T_world_cam0[-1, 0], rig, settings, of_points)
     ]
@@ -167,34 +166,30 @@ def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -
     deviation = z - (np.bincount(body, z) / n)[body]
     scatter = np.bincount(body, deviation**2)
     noise = np.bincount(body, history.cov_cam0[index, 2, 2]) / n
-    return np.asarray(scatter > gates(np.asarray(n - 1.0, np.float64), 0.99) * noise)
+    bound = np.array([gate(max(int(k) - 1, 1), 0.99) for k in n])
+    return np.asarray(scatter > bound * noise)
 
 
 def _views_of(
-    history: MotionHistory,
-    found: list[RigidGroup],
-    window: PoseWindow,
-    rig: StereoRig,
-    settings: ObjectSettings,
-) -> tuple[BodyViews, FloatArray, IntArray]:
+    history: MotionHistory, found: Motions, window: PoseWindow, rig: StereoRig
+) -> tuple[BodyViews, FloatArray]:
     """Each body's points in three views: its earlier row, one half way if there is one, now.
 
-    Also the twists (B, 6) of the rigid motions, and each body's earlier row (B,).
+    Also the twists (B, 6) of the rigid motions.
     """
-    past = history.history
-    index = np.concatenate([group.index for group in found])
-    body = np.repeat(np.arange(len(found)), [len(group.index) for group in found])
-    accel = settings.accel_sigma_mps2
-    row = np.array([best_row(history, group.index, accel) for group in found])
+    past, index, row = history.history, found.point, found.velocity_row
+    n_bodies = len(found.size)
+    body = np.repeat(np.arange(n_bodies), found.size)
     between = np.array([_row_between(past.span_s, k) for k in row.tolist()])
     rows = np.stack([row, between])
     T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
     T_now = T_world_cam0[-1]
-    now = np.broadcast_to(T_now, (1, len(found), 4, 4))
+    now = np.broadcast_to(T_now, (1, n_bodies, 4, 4))
     earlier = past.then[rows[:, body], index]
     earlier[1, (between == row)[body]] = np.nan  # no third view
-    none = np.zeros((1, len(found)))
-    centre = np.stack([history.p_cam0[group.index].mean(0) for group in found])
+    none = np.zeros((1, n_bodies))
+    first = np.cumsum(found.size) - found.size
+    centre = np.add.reduceat(history.p_cam0[index], first) / found.size[:, None]
     views = BodyViews(
         seen=np.concatenate([earlier, past.now[None, index]]),
         body=body,
@@ -203,11 +198,9 @@ def _views_of(
         track_length=np.concatenate([past.n_frames[rows].astype(np.float64), none]),
         origin=se3.apply(T_now, centre),
     )
-    T_now_then = np.stack([group.T_now_then for group in found])
     shift = se3.make(np.eye(3), views.origin)
-    T_world = se3.inverse(shift) @ T_now @ T_now_then @ se3.inverse(T_now) @ shift
-    span = past.span_s[[group.row for group in found]]
-    return views, se3.log(T_world) / span[:, None], row
+    T_world = se3.inverse(shift) @ T_now @ found.T_now_then @ se3.inverse(T_now) @ shift
+    return views, se3.log(T_world) / past.span_s[found.row][:, None]
 
 
 def _clones_of(history: StereoHistory, window: PoseWindow) -> IntArray:

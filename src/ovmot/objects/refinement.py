@@ -13,16 +13,12 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.refinement_kernel import Reduced, WeightedViews, reduce_points_compiled
-from ovmot.physics import gates
+from ovmot.objects.refinement_kernel import Refined, WeightedViews, refine_compiled
+from ovmot.physics import gate
 from ovmot.settings import ObjectSettings
 from ovmot.types import PixelNoise
 
-_ITERATIONS = 6
-_WIDE_ITERATIONS = 2  # the first ones, with a wider bound for outliers
-_SMALL_STEP = 0.02  # squared sigmas: a step that ends the iterations
 _PRIOR_DOF = 20.0  # weight of the prior noise in the variance factor, degrees of freedom
-_MIN_INVERSE_DEPTH = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,39 +84,30 @@ def refine_bodies(
     prior[:, :3] = settings.tilt_rate_sigma_rps**-2.0
     prior[may_turn, 2] = settings.yaw_rate_sigma_rps**-2.0
     weighted, valid = weighted_views(views, rig, noise)
-    dof = 4 * valid.sum(0) - 3
-    huber, bound = np.sqrt(gates(dof, 0.9)), gates(dof, 0.999)
+    n_views = valid.sum(0)
+    huber, bound = np.sqrt(_cost_gates(len(valid), 0.9)), _cost_gates(len(valid), 0.999)
     point = np.column_stack([p_cam0[:, :2], np.ones(len(p_cam0))]) / p_cam0[:, 2:]
-    prior_information = np.eye(6) * (prior[:, None] + 1e-6)
-    for iteration in range(_ITERATIONS):
-        # A point far off now may fit a better motion: the bound is wide at first.
-        wide = iteration < _WIDE_ITERATIONS
-        reduced = reduce_points_compiled(
-            point, twist, weighted, huber, 9.0 * bound if wide else bound
-        )
-        information = reduced.information + prior_information
-        gradient = reduced.gradient - prior * twist
-        step = np.asarray(np.linalg.solve(information, gradient[..., None])[..., 0], np.float64)
-        point = _stepped_points(point, reduced, step[views.body])
-        twist = twist + step
-        squared_step = (step * gradient).sum(1)  # δᵀ N δ with N δ = g
-        if not wide and squared_step.max() < _SMALL_STEP:
-            break
-    widen, variance_factor = _variance_factors(reduced, views.body, dof, n_bodies)
-    to_world, p_world = _world_points(point, views)
+    found = refine_compiled(point, twist, weighted, huber[n_views], bound[n_views], prior)
+    widen, variance_factor = _variance_factors(found, views.body, 4 * n_views - 3, n_bodies)
+    to_world, p_world = _world_points(found.point, views)
     return RefinedBodies(
-        twist=twist,
-        covariance=np.asarray(np.linalg.inv(information) * widen[:, None, None], np.float64),
+        twist=found.twist,
+        covariance=np.asarray(np.linalg.inv(found.information) * widen[:, None, None], np.float64),
         p_world=p_world,
-        inlier=reduced.inlier,
-        point_cov=to_world @ reduced.N_inverse @ np.swapaxes(to_world, -1, -2),
-        by_twist=to_world @ -np.swapaxes(reduced.K, -1, -2),
+        inlier=found.inlier,
+        point_cov=to_world @ found.N_inverse @ np.swapaxes(to_world, -1, -2),
+        by_twist=to_world @ -np.swapaxes(found.K, -1, -2),
         variance_factor=variance_factor,
     )
 
 
+def _cost_gates(n_views: int, probability: float) -> FloatArray:
+    """Bounds (V + 1,) of the cost of a point that is seen in 0 to V stereo pairs."""
+    return np.array([gate(max(4 * v - 3, 1), probability) for v in range(n_views + 1)])
+
+
 def _variance_factors(
-    reduced: Reduced, body: IntArray, dof: FloatArray, n_bodies: int
+    found: Refined, body: IntArray, dof: IntArray, n_bodies: int
 ) -> tuple[FloatArray, FloatArray]:
     """Variance of the noise by the residuals as a share of the prior one: (B,) at least 1, and (B,)
     at most 1, which holds the prior noise as well.
@@ -128,23 +115,10 @@ def _variance_factors(
     `dof` (M,): degrees of freedom of each point. Noise above the prior one widens the covariance;
     noise below it is only reported.
     """
-    inliers = np.where(reduced.inlier, 1.0, 0.0)
-    cost = np.bincount(body, reduced.weight * reduced.cost, n_bodies)
-    body_dof = np.bincount(body, inliers * dof, n_bodies)
+    cost = np.bincount(body, found.weight * found.cost, n_bodies)
+    body_dof = np.bincount(body, np.where(found.inlier, dof, 0.0), n_bodies)
     widen = np.maximum(1.0, cost / np.maximum(body_dof, 1.0))
     return widen, np.minimum(1.0, (cost + _PRIOR_DOF) / (body_dof + _PRIOR_DOF))
-
-
-def _stepped_points(point: FloatArray, reduced: Reduced, twist_step: FloatArray) -> FloatArray:
-    """Points (M, 3) after a step (M, 6) of their bodies' twists.
-
-    No point goes behind the camera, nor more than doubles its inverse depth.
-    """
-    step: FloatArray = reduced.step - np.einsum("mi,mij->mj", twist_step, reduced.K)
-    step[:, 2] = np.clip(step[:, 2], -0.5 * point[:, 2], point[:, 2])
-    stepped: FloatArray = point + step
-    stepped[:, 2] = np.maximum(stepped[:, 2], _MIN_INVERSE_DEPTH)
-    return stepped
 
 
 def weighted_views(

@@ -11,7 +11,12 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.kernels.small_matrices import cross, invert_symmetric
+from ovmot.kernels.small_matrices import cross, invert_symmetric, solve_positive
+
+_ITERATIONS = 6
+_WIDE_ITERATIONS = 2  # the first ones, with a wider bound for outliers
+_SMALL_STEP = 0.02  # squared sigmas: a step that ends the iterations
+_MIN_INVERSE_DEPTH = 1e-3
 
 
 class WeightedViews(NamedTuple):
@@ -35,6 +40,23 @@ class WeightedViews(NamedTuple):
     focal: FloatArray
 
 
+class Refined(NamedTuple):
+    """M points (M, 3) (x, y, 1/z) of the present left camera and B twists (B, 6), refined.
+
+    `information` (B, 6, 6) of the twists, prior included; `cost`, `weight`, `inlier` (M,),
+    `N_inverse` (M, 3, 3) and `K` (M, 6, 3) as in `Reduced`, at the last step.
+    """
+
+    point: FloatArray
+    twist: FloatArray
+    information: FloatArray
+    cost: FloatArray
+    weight: FloatArray
+    inlier: BoolArray
+    N_inverse: FloatArray
+    K: FloatArray
+
+
 class Reduced(NamedTuple):
     """Normal equations of B bodies, and per point (M,) what was eliminated.
 
@@ -54,13 +76,76 @@ class Reduced(NamedTuple):
     K: FloatArray
 
 
+def refine(
+    point: FloatArray,
+    twist: FloatArray,
+    s: WeightedViews,
+    huber: FloatArray,
+    bound: FloatArray,
+    prior: FloatArray,
+) -> Refined:
+    """Gauss-Newton from points (M, 3) (x, y, 1/z) and twists (B, 6).
+
+    `huber`, `bound` (M,) as in `reduce_points`; `prior` (B, 6): information of twists of zero.
+    """
+    point, twist, step = point.copy(), twist.copy(), np.empty(6)
+    n_bodies, A = len(twist), np.empty((6, 6))
+    for iteration in range(_ITERATIONS):
+        # a point far off now may fit a better motion: the bound is wide at first
+        wide = iteration < _WIDE_ITERATIONS
+        reduced, largest = reduce_points(point, twist, s, huber, bound, 9.0 if wide else 1.0), 0.0
+        for b in range(n_bodies):
+            for a in range(6):
+                reduced.gradient[b, a] -= prior[b, a] * twist[b, a]
+                reduced.information[b, a, a] += prior[b, a] + 1e-6
+                step[a] = reduced.gradient[b, a]
+                for c in range(6):
+                    A[a, c] = reduced.information[b, a, c]
+            solve_positive(A, step)
+            squared = 0.0  # δᵀ N δ with N δ = g
+            for a in range(6):
+                twist[b, a] += step[a]
+                squared += step[a] * reduced.gradient[b, a]
+            largest = max(largest, squared)
+            step_points(point, step, b, s.body, reduced)
+        if not wide and largest < _SMALL_STEP:
+            break
+    return Refined(
+        point, twist, reduced.information, reduced.cost, reduced.weight, reduced.inlier,
+        reduced.N_inverse, reduced.K,
+    )  # fmt: skip
+
+
+@part
+def step_points(
+    point: FloatArray, twist_step: FloatArray, b: int, body: IntArray, reduced: Reduced
+) -> None:
+    """Move the points of body b after a step (6,) of its twist.
+
+    No point goes behind the camera, nor more than doubles its inverse depth.
+    """
+    for n in range(len(point)):
+        if body[n] != b:
+            continue
+        for c in range(3):
+            step = reduced.step[n, c]
+            for a in range(6):
+                step -= twist_step[a] * reduced.K[n, a, c]
+            if c == 2:
+                step = min(max(step, -0.5 * point[n, 2]), point[n, 2])
+            point[n, c] += step
+        point[n, 2] = max(point[n, 2], _MIN_INVERSE_DEPTH)
+
+
+@part
 def reduce_points(
-    point: FloatArray, twist: FloatArray, s: WeightedViews, huber: FloatArray, bound: FloatArray
-) -> Reduced:
+    point: FloatArray, twist: FloatArray, s: WeightedViews, huber: FloatArray, bound: FloatArray,
+    wider: float,
+) -> Reduced:  # fmt: skip
     """The normal equations at points (M, 3) (x, y, 1/z) and twists (B, 6), points eliminated.
 
     `huber` (M,): root of the cost up to which a point's loss is quadratic; `bound` (M,): cost from
-    which it is an outlier.
+    which it is an outlier, times `wider`.
     """
     n_bodies, n_points, n_views = len(twist), len(point), len(s.seen)
     out = Reduced(
@@ -81,7 +166,7 @@ def reduce_points(
                 view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, rows)
                 add_row_products(rows, s.span_s[v, b] > 0.0, products)
         eliminate(products, n, out)
-        out.inlier[n] = out.cost[n] < bound[n]
+        out.inlier[n] = out.cost[n] < wider * bound[n]
         if out.inlier[n]:
             out.weight[n] = min(1.0, huber[n] / math.sqrt(max(out.cost[n], 1e-12)))
             add_reduced(products, n, b, out)
@@ -220,4 +305,4 @@ def view_rows(
             rows[2 + i, c] = (left + right) * plus
 
 
-reduce_points_compiled = compiled(reduce_points, code_folder(Path(__file__)))
+refine_compiled = compiled(refine, code_folder(Path(__file__)))

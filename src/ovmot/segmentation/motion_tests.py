@@ -9,23 +9,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.physics import ACCEL_SIGMA_MPS2, VARIANCE_FACTOR, gate, gates
-from ovmot.segmentation.history_kernel import fit_velocities_compiled
-from ovmot.segmentation.neighbour_consensus import neighbours_with_same_velocity
-from ovmot.segmentation.static_comparison import StaticComparison
+from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.physics import ACCEL_SIGMA_MPS2, CAR_SIZE_M, TURN_SPREAD_MPS, VARIANCE_FACTOR, gate
+from ovmot.segmentation.comparison_kernel import compare_with_rest_compiled
+from ovmot.segmentation.neighbour_kernel import count_alike_compiled
+from ovmot.segmentation.static_comparison import ego_motion_since, pairs_of, stereo_noise
 from ovmot.settings import SegmentationSettings
+from ovmot.types import PoseWindow
+
+_UNLIKELY = 0.99  # probability that a point at rest stays below
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What is known of N points: the comparisons, positions now (N, 3) in the left camera with
-    covariance (N, 3, 3), and over the last interval the weighted distance (N,) in metres and the
-    reprojection error (N,) in pixels."""
+    """What is known of N points, positions in the present left camera, SI.
 
-    comparison: StaticComparison
+    `p_cam0` (N, 3): positions now, with covariance `cov_cam0` (N, 3, 3). `rows` (N,): number of
+    earlier frames that were compared; `distance` (N,): the largest squared Mahalanobis distance
+    from rest over them, 4 degrees of freedom. One `velocity` (N, 3) in m/s that fits them all, its
+    `covariance` (N, 3, 3), and whether it explains what was seen, `explained` (N,): NaN and False
+    where rest is likely. Over the last interval, where it was compared, `in_last` (N,): where the
+    point would be at rest, `predicted` (N, 3), the weighted distance from there, `distance_m` (N,),
+    and the reprojection error `reprojection_px` (N,).
+    """
+
     p_cam0: FloatArray
     cov_cam0: FloatArray
+    distance: FloatArray
+    rows: IntArray
+    velocity: FloatArray
+    covariance: FloatArray
+    explained: BoolArray
+    in_last: BoolArray
+    predicted: FloatArray
     distance_m: FloatArray
     reprojection_px: FloatArray
 
@@ -39,20 +57,41 @@ class Verdict:
     unclear: BoolArray
 
 
-@dataclass(frozen=True, slots=True)
-class StaticTest:
-    """Of N points: the largest squared distance from rest over the earlier rows (N,), the number
-    of rows compared (N,), one velocity (N, 3) in m/s in the camera's axes that fits them all, its
-    covariance (N, 3, 3), and whether it explains what was seen (N,)."""
-
-    distance: FloatArray
-    rows: FloatArray
-    velocity: FloatArray
-    covariance: FloatArray
-    explained: BoolArray
-
-
 MotionTest = Callable[[Evidence, SegmentationSettings], Verdict]
+
+
+def gather_evidence(
+    history: StereoHistory, window: PoseWindow, rig: StereoRig, settings: SegmentationSettings
+) -> Evidence:
+    """The points of a history against rest, by the ego motion of the window.
+
+    Compared are points within range, now and where they are predicted.
+    """
+    focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+    found = compare_with_rest_compiled(
+        pairs_of(history), ego_motion_since(history, window, rig), stereo_noise(history, rig),
+        settings.max_range_m, settings.forgiven_speed_mps, ACCEL_SIGMA_MPS2, gate(4, _UNLIKELY),
+        settings.depth_weight, focal,
+    )  # fmt: skip
+    bound = VARIANCE_FACTOR * velocity_gates(len(history))
+    return Evidence(
+        p_cam0=history.p_now,
+        cov_cam0=history.cov_now,
+        distance=found.distance,
+        rows=found.rows,
+        velocity=found.velocity,
+        covariance=found.covariance,
+        explained=found.cost < bound[found.rows],
+        in_last=found.in_last,
+        predicted=found.predicted,
+        distance_m=found.distance_m,
+        reprojection_px=found.reprojection,
+    )
+
+
+def velocity_gates(n_rows: int) -> FloatArray:
+    """Bounds (L + 1,) of the cost of one velocity that explains 0 to L stereo pairs."""
+    return np.array([gate(max(4 * m - 3, 1), 0.999) for m in range(n_rows + 1)])
 
 
 def covariance_test(evidence: Evidence, settings: SegmentationSettings) -> Verdict:
@@ -64,52 +103,27 @@ def covariance_test(evidence: Evidence, settings: SegmentationSettings) -> Verdi
     and two neighbours must share it. Where rest is out of the question without that, a wrong match
     is as likely as a motion: unclear.
     """
-    static = examine_static(evidence.comparison, settings)
-    tested = static.rows > 0
+    tested, rows, distance = evidence.rows > 0, evidence.rows, evidence.distance
     false_alarm = settings.false_alarm
-    impossible = tested & (static.distance > gate(4, 1.0 - false_alarm))
-    unlikely = tested & (static.distance > gate(4, 0.99))
-    steady = static.explained & (static.rows >= 2)
+    impossible = tested & (distance > gate(4, 1.0 - false_alarm))
+    unlikely = tested & (distance > gate(4, _UNLIKELY))
+    steady = evidence.explained & (rows >= 2)
     strong, weak = impossible & steady, unlikely & steady
-    certain = static.distance > gate(4, 1.0 - false_alarm**2)
-    fresh = certain & static.explained & (static.rows == 1)
-    alike = neighbours_with_same_velocity(
-        evidence.p_cam0, evidence.cov_cam0, static.velocity, static.covariance, weak | fresh
-    )
-    any_neighbour = alike.any(axis=1)
-    by_strong = (alike & strong[None, :]).sum(axis=1) >= 2
-    by_both = (alike & (strong | fresh)[None, :]).sum(axis=1) >= 2
-    moving = (strong & any_neighbour) | (weak & by_strong) | (fresh & by_both)
+    certain = distance > gate(4, 1.0 - false_alarm**2)
+    fresh = certain & evidence.explained & (rows == 1)
+    candidates = weak | fresh
+    alike, alike_strong, alike_both = count_alike_compiled(
+        evidence.p_cam0, evidence.cov_cam0, evidence.velocity, evidence.covariance,
+        np.flatnonzero(candidates), np.column_stack([candidates, strong, strong | fresh]),
+        0.5 * CAR_SIZE_M[0], TURN_SPREAD_MPS, gate(3, 0.99),
+    ).T  # fmt: skip
+    moving = (strong & (alike > 0)) | (weak & (alike_strong >= 2)) | (fresh & (alike_both >= 2))
     return Verdict(tested, moving, impossible & ~moving)
-
-
-def examine_static(comparison: StaticComparison, settings: SegmentationSettings) -> StaticTest:
-    """Squared distances from rest, and the velocity that fits all earlier rows best.
-
-    Under rest r ~ N(0, S + J Jᵀ (s Δt)²), where s forgives slow drifts of the ego motion; under
-    motion r = J v Δt with v by weighted least squares, a change of velocity forgiven.
-    """
-    tested = comparison.tested
-    r = np.where(tested[..., None], comparison.residual, 0.0)
-    J = np.where(tested[..., None, None], comparison.J, 0.0)
-    S = np.where(tested[..., None, None], comparison.S, np.eye(4))
-    JJt = J @ np.swapaxes(J, -1, -2)
-    span = comparison.span_s[:, None]
-    S_static = S + JJt * ((settings.forgiven_speed_mps * span) ** 2)[..., None, None]
-    distance = np.where(tested, _quadratic(S_static, r), 0.0).max(0)
-    slack = (0.5 * ACCEL_SIGMA_MPS2 * comparison.span_s**2) ** 2
-    velocity, covariance, cost = fit_velocities_compiled(
-        comparison.residual, comparison.J_motion, comparison.S, comparison.J, slack,
-        comparison.span_s, tested,
-    )  # fmt: skip
-    rows = tested.sum(0)
-    explained = cost < VARIANCE_FACTOR * gates(np.maximum(4 * rows - 3, 1), 0.999)
-    return StaticTest(distance, rows, velocity, covariance, explained)
 
 
 def fixed_test(evidence: Evidence, settings: SegmentationSettings) -> Verdict:
     """The original's thresholds on the last interval: weighted 3-D distance and reprojection."""
-    tested = evidence.comparison.tested[-1]
+    tested = evidence.in_last
     with np.errstate(invalid="ignore"):
         far = evidence.distance_m > settings.distance_threshold_m
         off = evidence.reprojection_px > settings.reprojection_threshold_px
@@ -118,10 +132,3 @@ def fixed_test(evidence: Evidence, settings: SegmentationSettings) -> Verdict:
 
 
 MOTION_TESTS: dict[str, MotionTest] = {"covariance": covariance_test, "fixed": fixed_test}
-
-
-def _quadratic(S: FloatArray, r: FloatArray) -> FloatArray:
-    """rᵀ S⁻¹ r over leading axes."""
-    solved = np.linalg.solve(S, r[..., None])[..., 0]
-    total: FloatArray = (r * solved).sum(-1)
-    return total

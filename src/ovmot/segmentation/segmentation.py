@@ -10,11 +10,9 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, StereoHistory
-from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import project_stereo
+from ovmot.geometry.arrays import BoolArray, IntArray
 from ovmot.physics import WALKER_MPS
-from ovmot.segmentation.motion_tests import MOTION_TESTS, Evidence, Verdict
-from ovmot.segmentation.static_comparison import StaticComparison, compare_with_static
+from ovmot.segmentation.motion_tests import MOTION_TESTS, Verdict, gather_evidence
 from ovmot.settings import SegmentationSettings
 from ovmot.types import FrontendFrame, PointLabel, PoseWindow, ScenePoints
 
@@ -48,29 +46,24 @@ def segment_points(
     earlier that are within range both times; the others are unknown.
     """
     points, trusted = _unknown_points(seen, history, settings), prediction_is_sure(window)
-    with np.errstate(invalid="ignore"):
-        near = np.flatnonzero(points.p_cam0[:, 2] < settings.max_range_m)
-    if not settings.enabled or len(history) == 0 or len(near) == 0:
+    if not settings.enabled or len(history) == 0:
         return Segmentation(points, ~seen.two_view_inlier, trusted)
-    of_near = history.only(near)
-    comparison = compare_with_static(of_near, window, rig)
-    comparison = _within_range(comparison, settings.max_range_m)
-    distance, reprojection = last_interval(comparison, of_near, rig, settings)
-    evidence = Evidence(comparison, of_near.p_now, of_near.cov_now, distance, reprojection)
+    evidence = gather_evidence(history, window, rig, settings)
     verdict = MOTION_TESTS[settings.test](evidence, settings)
     if settings.candidates == "ransac":
-        verdict = _only_rejected(verdict, seen.two_view_inlier[near])
-    previous = table.pixels[history.row[-1], table.columns(of_near.feature_id), :2]
+        verdict = _only_rejected(verdict, seen.two_view_inlier)
+    near = evidence.p_cam0[:, 2] < settings.max_range_m
+    previous = table.pixels[history.row[-1], table.columns(history.feature_id), :2]
     points = replace(
         points,
-        label=_put(points.label, near, _labels(verdict)),
-        previous=_put(points.previous, near, previous),
-        predicted=_put(points.predicted, near, rig.cam0.project(comparison.predicted[-1])),
-        distance_m=_put(points.distance_m, near, distance),
-        reprojection_px=_put(points.reprojection_px, near, reprojection),
+        label=_labels(verdict),
+        previous=np.where(near[:, None], previous, np.nan),
+        predicted=rig.cam0.project(evidence.predicted),
+        distance_m=evidence.distance_m,
+        reprojection_px=evidence.reprojection_px,
     )
     off = verdict.moving | verdict.unclear
-    outlier = _put(~seen.two_view_inlier, near[verdict.tested], off[verdict.tested])
+    outlier = np.where(verdict.tested, off, ~seen.two_view_inlier)
     return Segmentation(points, outlier, trusted)
 
 
@@ -86,38 +79,11 @@ def prediction_is_sure(window: PoseWindow) -> bool:
     return bool(sigma_m < 0.5 * WALKER_MPS * span_s)
 
 
-def last_interval(
-    comparison: StaticComparison,
-    history: StereoHistory,
-    rig: StereoRig,
-    settings: SegmentationSettings,
-) -> tuple[FloatArray, FloatArray]:
-    """Distance (N,) in metres, depth weighted down, and reprojection error (N,) in pixels.
-
-    Between the newest earlier frame and now; the reprojection error is measured in the undistorted
-    normalized plane and is the worse of both cameras.
-    """
-    predicted = comparison.predicted[-1]
-    weights = np.array([1.0, 1.0, settings.depth_weight])
-    distance: FloatArray = np.linalg.norm((history.p_now - predicted) * weights, axis=-1)
-    focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
-    off = (history.now - project_stereo(predicted, rig.T_cam1_cam0)[0]) * focal
-    reprojection = np.maximum(np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3]))
-    return distance, reprojection
-
-
 def _labels(verdict: Verdict) -> IntArray:
     label = np.full(len(verdict.tested), int(PointLabel.UNKNOWN), dtype=np.int64)
     label[verdict.tested & ~verdict.unclear] = int(PointLabel.STATIC)
     label[verdict.moving] = int(PointLabel.DYNAMIC)
     return label
-
-
-def _within_range(comparison: StaticComparison, max_range: float) -> StaticComparison:
-    """Only comparisons whose predicted point is within range too."""
-    with np.errstate(invalid="ignore"):
-        near = comparison.predicted[..., 2] < max_range
-    return replace(comparison, residual=np.where(near[..., None], comparison.residual, np.nan))
 
 
 def _only_rejected(verdict: Verdict, inlier: BoolArray) -> Verdict:
@@ -145,10 +111,3 @@ def _unknown_points(
         reprojection_px=nothing[:, 0],
         two_view_inlier=seen.two_view_inlier,
     )
-
-
-def _put(values: AnyArray, index: IntArray, new: AnyArray) -> AnyArray:
-    """A copy of `values` with those at `index` replaced."""
-    out = values.copy()
-    out[index] = new
-    return out

@@ -49,16 +49,13 @@ def history_of(
     noise: PixelNoise,
 ) -> StereoHistory:
     """The history of normalized stereo pairs `then` (L, N, 4) and `now` (N, 4)."""
-    T_cam1_cam0 = np.ascontiguousarray(rig.T_cam1_cam0)
-    sigma = rig.normalized_sigma(noise.sigma_px)
-    pairs = np.concatenate([then.reshape(-1, 4), now])
-    p, C = triangulate_pairs_compiled(pairs, T_cam1_cam0, sigma)
-    n_then = then.shape[0] * then.shape[1]
+    then, now = np.ascontiguousarray(then), np.ascontiguousarray(now)
+    p_then, p_now, cov_now = triangulate_pairs_compiled(
+        then, now, np.ascontiguousarray(rig.T_cam1_cam0), rig.normalized_sigma(noise.sigma_px)
+    )
     return StereoHistory(
-        feature_id, row, clone_ns, span_s, n_frames, np.ascontiguousarray(then),
-        np.ascontiguousarray(now), p[:n_then].reshape(*then.shape[:2], 3),
-        C[:n_then].reshape(*then.shape[:2], 3, 3), p[n_then:], C[n_then:], noise,
-    )  # fmt: skip
+        feature_id, row, clone_ns, span_s, n_frames, then, now, p_then, p_now, cov_now, noise
+    )
 
 
 def look_back_rows(
