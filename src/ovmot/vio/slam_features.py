@@ -13,17 +13,13 @@ from scipy.linalg import block_diag
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.vio.innovation_consistency import innovation_consistency
+from ovmot.physics import gates
+from ovmot.vio.innovation_consistency import VELOCITY_BOUND
+from ovmot.vio.landmark_kernel import consistent_landmarks_compiled
 from ovmot.vio.landmarks import NO_ANCHOR, Landmarks
-from ovmot.vio.msckf_features import (
-    PointRows,
-    chi2_gate,
-    innovation_distances,
-    reproject,
-    triangularize,
-)
-from ovmot.vio.state import CLONE_SIZE, Clones, State
-from ovmot.vio.update import ekf_update
+from ovmot.vio.msckf_features import PointRows, reproject
+from ovmot.vio.state import CLONE_SIZE, N_BASE, Clones, State
+from ovmot.vio.update import update_by_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,19 +109,15 @@ def update_slam_features(
     if not len(state.landmarks) or not np.isfinite(pixels).any():
         return state
     H, residual, dof = landmark_system(state, rig, T_imu_anchor, pixels, sigma_px)
-    start = state.first_clone - len(state.calibration)
-    columns = np.arange(start, len(state.covariance))
-    P = state.covariance[start:, start:]
-    distance = innovation_distances(P, H, residual)
-    passed = chi2_gate(distance, dof, chi2_multiplier)
+    bounds = chi2_multiplier * gates(np.maximum(dof, 1.0), 0.95)
+    passed, rows, r = consistent_landmarks_compiled(
+        state.covariance, np.ascontiguousarray(H), np.ascontiguousarray(residual), N_BASE,
+        dof, bounds, VELOCITY_BOUND,
+    )  # fmt: skip
     rejections = state.landmarks.rejections + ((dof > 0) & ~passed)
     rejections[passed] = 0
     state = replace(state, landmarks=replace(state.landmarks, rejections=rejections))
-    consistent = innovation_consistency(state, H, residual, columns, distance, dof, passed)
-    if consistent is None:
-        return state
-    variance = np.ones(len(consistent.residual))
-    return ekf_update(state, consistent.H, columns, consistent.residual, variance, consistent.L)
+    return update_by_rows(state, rows, r, N_BASE)
 
 
 def delayed_initialization(
@@ -278,3 +270,20 @@ def _project_out(
         return H, residual, n_rows
     A = triangularize(np.concatenate([bearing, H, residual[..., None]], axis=2), b)
     return A[:, b:, b:-1], A[:, b:, -1], np.maximum(n_rows - b, 0)
+
+
+def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
+    """Matrices A (F, M, N) with the first `n_columns` columns zero below the diagonal.
+
+    By Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
+    """
+    A = A.copy()
+    for j in range(n_columns):
+        x = A[:, j:, j]
+        v = x.copy()
+        sign = np.where(x[:, 0] < 0.0, -1.0, 1.0)
+        v[:, 0] += sign * np.linalg.norm(x, axis=1)
+        length = (v * v).sum(1)
+        v *= np.sqrt(2.0 / np.where(length > 0.0, length, 1.0))[:, None]
+        A[:, j:] -= v[:, :, None] * (v[:, None, :] @ A[:, j:])
+    return A

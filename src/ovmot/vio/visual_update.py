@@ -10,19 +10,11 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, mark_used
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.settings import FilterSettings
-from ovmot.vio.innovation_consistency import innovation_consistency
-from ovmot.vio.msckf_features import (
-    FeatureSystem,
-    chi2_gate,
-    innovation_distances,
-    linearize,
-    project_nullspace,
-    triangulate_features,
-)
+from ovmot.vio.msckf_features import consistent_features, triangulate_features
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
-from ovmot.vio.state import State, marginalize_landmarks
-from ovmot.vio.update import ekf_update
+from ovmot.vio.state import N_BASE, State, marginalize_landmarks
+from ovmot.vio.update import update_by_rows
 
 _MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
 _MAX_REJECTIONS = 3  # in a row, after which a SLAM feature is marginalized
@@ -64,9 +56,14 @@ def update_with_features(
 
     updating = msckf_features | slam_candidates
     if updating.any():
-        pixels = _pixels_per_clone(table, state, available, updating)
+        pixels = _per_clone(table.pixels, table, state, available, updating)
+        normalized = (
+            _per_clone(table.normalized, table, state, available, updating)
+            if calibrated is rig
+            else calibrated.normalize(pixels)
+        )
         state = msckf_update(
-            state, calibrated, rig.T_imu_cam0, pixels,
+            state, calibrated, rig.T_imu_cam0, pixels, normalized,
             table.feature_id[updating], slam_candidates[updating], settings,
         )  # fmt: skip
     return state, mark_used(table, available & (updating | lost))
@@ -88,6 +85,7 @@ def msckf_update(
     rig: StereoRig,
     T_imu_anchor: FloatArray,
     pixels: FloatArray,
+    normalized: FloatArray,
     feature_id: IntArray,
     slam_candidate: BoolArray,
     settings: FilterSettings,
@@ -95,32 +93,24 @@ def msckf_update(
     """MSCKF update by F features, of which the SLAM candidates enter the state.
 
     `rig`: as calibrated now; `T_imu_anchor` (4, 4): the left camera of the files; `pixels` (F, K,
-    4) from the K clones, NaN where not to be used; `feature_id` (F,), `slam_candidate` (F,).
+    4) from the K clones, NaN where not to be used, with their `normalized` coordinates (F, K, 4);
+    `feature_id` (F,), `slam_candidate` (F,).
 
     All are linearized at one state and update it together: updates one after another would need a
     new linearization each.
     """
-    system, p_world, triangulated = _linearized_features(state, rig, pixels, settings)
-    if not len(system.residual):
+    points, valid = triangulate_features(state, rig, normalized, settings.pixel_sigma)
+    if not valid.any():
         return state
-    projected = project_nullspace(system)
-    columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
-    P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
-    distance = innovation_distances(P, projected.H, projected.residual)
-    passed = chi2_gate(distance, projected.dof, settings.chi2_multiplier)
-    consistent = innovation_consistency(
-        state, projected.H, projected.residual, columns, distance, projected.dof, passed
-    )
-    if consistent is None:
+    points, slam_candidate = points[valid], slam_candidate[valid]
+    consistent = consistent_features(state, rig, pixels[valid], points, settings)
+    if not consistent.weight.any():
         return state
-    new = (consistent.weight > 0.0) & slam_candidate[triangulated]
+    new = (consistent.weight > 0.0) & slam_candidate
     state = delayed_initialization(
-        state, projected.points.rows(new), feature_id[triangulated][new], p_world[new], T_imu_anchor
+        state, consistent.points.rows(new), feature_id[valid][new], points[new], T_imu_anchor
     )
-    variance = np.ones(len(consistent.residual))
-    return ekf_update(
-        state, consistent.H, columns, consistent.residual, variance, consistent.L
-    )  # fmt: skip
+    return update_by_rows(state, consistent.H, consistent.residual, N_BASE)
 
 
 def _update_with_slam_features(
@@ -158,27 +148,18 @@ def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     return out
 
 
-def _linearized_features(
-    state: State, rig: StereoRig, pixels: FloatArray, settings: FilterSettings
-) -> tuple[FeatureSystem, FloatArray, BoolArray]:
-    """Measurements and world points (T, 3) of the features that could be triangulated, and which
-    (F,) these are."""
-    sigma = settings.pixel_sigma
-    points = triangulate_features(state, rig, rig.normalize(pixels), sigma)
-    valid = points.valid
-    system = linearize(state, rig, pixels[valid], points.p_world[valid], sigma)
-    return system, points.p_world[valid], valid
-
-
-def _pixels_per_clone(
-    table: FeatureTable, state: State, available: BoolArray, features: BoolArray
+def _per_clone(
+    values: FloatArray, table: FeatureTable, state: State, available: BoolArray, features: BoolArray
 ) -> FloatArray:
-    """Available pixels (F, K, 4) of the features marked, from the K clones; NaN elsewhere."""
+    """Available values (F, K, 4) of the features marked, from the K clones; NaN elsewhere.
+
+    `values` (T, F, 4): the table's pixels or normalized coordinates.
+    """
     index = np.flatnonzero(features)
-    pixels = np.full((len(index), len(state.clones), 4), np.nan)
+    out = np.full((len(index), len(state.clones), 4), np.nan)
     for k, stamp in enumerate(state.clones.timestamp_ns):
         row = np.flatnonzero(table.frame_ns == stamp)
         if len(row):
             seen = available[row[0], index]
-            pixels[seen, k] = table.pixels[row[0], index[seen]]
-    return pixels
+            out[seen, k] = values[row[0], index[seen]]
+    return out
