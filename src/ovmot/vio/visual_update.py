@@ -9,12 +9,14 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, mark_used
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.id_sets import contained, positions
 from ovmot.settings import FilterSettings
 from ovmot.vio.msckf_features import consistent_features, triangulate_features
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
 from ovmot.vio.state import N_BASE, State, marginalize_landmarks
 from ovmot.vio.update import update_by_rows
+from ovmot.vio.window_kernel import available_views_compiled, gather_views_compiled
 
 _MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
 _MAX_REJECTIONS = 3  # in a row, after which a SLAM feature is marginalized
@@ -47,7 +49,7 @@ def update_with_features(
         oldest = table.frame_ns == state.clones.timestamp_ns[0]
         marginalized = available[oldest].any(axis=0)
     candidates = (lost | marginalized) & (n_views >= _MIN_VIEWS) & ~table.outlier
-    candidates &= ~np.isin(table.feature_id, state.landmarks.feature_id)
+    candidates[table.columns(state.landmarks.feature_id)] = False
     room = settings.max_landmarks - len(state.landmarks)
     slam_candidates = _longest(candidates & ~lost, n_views, room)
     msckf_features = _longest(
@@ -56,12 +58,12 @@ def update_with_features(
 
     updating = msckf_features | slam_candidates
     if updating.any():
-        pixels = _per_clone(table.pixels, table, state, available, updating)
-        normalized = (
-            _per_clone(table.normalized, table, state, available, updating)
-            if calibrated is rig
-            else calibrated.normalize(pixels)
-        )
+        pixels, normalized = gather_views_compiled(
+            table.pixels, table.normalized, available, np.flatnonzero(updating),
+            positions(state.clones.timestamp_ns, table.frame_ns),
+        )  # fmt: skip
+        if calibrated is not rig:
+            normalized = calibrated.normalize(pixels)
         state = msckf_update(
             state, calibrated, rig.T_imu_cam0, pixels, normalized,
             table.feature_id[updating], slam_candidates[updating], settings,
@@ -71,13 +73,15 @@ def update_with_features(
 
 def available_observations(table: FeatureTable, state: State) -> BoolArray:
     """Observations (T, F) that an update may use: from clones, unused, of features not dynamic."""
-    return table.seen & ~table.used & ~table.dynamic & clone_rows(table, state)[:, None]
+    return available_views_compiled(
+        table.pixels, table.used, table.dynamic, clone_rows(table, state)
+    )
 
 
 def clone_rows(table: FeatureTable, state: State) -> BoolArray:
     """Rows (T,) whose frame is itself a clone of the state, not one that shares a clone."""
     own: BoolArray = table.frame_ns == table.clone_ns
-    return own & np.isin(table.clone_ns, state.clones.timestamp_ns)
+    return own & contained(table.clone_ns, state.clones.timestamp_ns)
 
 
 def msckf_update(
@@ -121,13 +125,14 @@ def _update_with_slam_features(
     settings: FilterSettings,
 ) -> tuple[State, FeatureTable]:
     """Marginalize SLAM features that are lost, dynamic or rejected; update by the others."""
-    ids = state.landmarks.feature_id
-    alive = table.feature_id[table.seen_now & ~table.dynamic]
-    rejected = state.landmarks.rejections >= _MAX_REJECTIONS
-    state = marginalize_landmarks(state, ~np.isin(ids, alive) | rejected)
     if not len(state.landmarks):
         return state, table
     column = table.columns(state.landmarks.feature_id)
+    alive = (column >= 0) & table.seen_now[column] & ~table.dynamic[column]
+    alive &= state.landmarks.rejections < _MAX_REJECTIONS
+    state, column = marginalize_landmarks(state, ~alive), column[alive]
+    if not len(column):
+        return state, table
     pixels = table.pixels[-1, column]
     pixels[table.outlier[column]] = np.nan
     state = update_slam_features(
@@ -145,21 +150,4 @@ def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     out = np.zeros_like(candidates)
     ranked = np.argsort(np.where(candidates, -n_views, 1), kind="stable")
     out[ranked[: max(count, 0)]] = True
-    return out
-
-
-def _per_clone(
-    values: FloatArray, table: FeatureTable, state: State, available: BoolArray, features: BoolArray
-) -> FloatArray:
-    """Available values (F, K, 4) of the features marked, from the K clones; NaN elsewhere.
-
-    `values` (T, F, 4): the table's pixels or normalized coordinates.
-    """
-    index = np.flatnonzero(features)
-    out = np.full((len(index), len(state.clones), 4), np.nan)
-    for k, stamp in enumerate(state.clones.timestamp_ns):
-        row = np.flatnonzero(table.frame_ns == stamp)
-        if len(row):
-            seen = available[row[0], index]
-            out[seen, k] = values[row[0], index[seen]]
     return out
