@@ -6,7 +6,7 @@ import pytest
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import MAX_DEPTH_M, project_normalized, triangulate_many_views
-from ovmot.vio.triangulation_kernel import place_in_views_compiled, triangulate_views_compiled
+from ovmot.vio.triangulation_kernel import triangulate_views_compiled
 
 SIGMA = 1e-3
 RANGE = (0.1, 40.0)
@@ -41,13 +41,3 @@ def test_points_are_those_of_the_plain_triangulation(views: FloatArray) -> None:
     assert 20 < valid.sum() < 57
     assert not valid[:4].any()
     np.testing.assert_allclose(points[valid], plain.p_world[valid], rtol=1e-6, atol=1e-6)
-
-
-def test_places_are_projections_and_nan_behind(views: FloatArray) -> None:
-    points, _ = seen_from(views, np.random.default_rng(3), 8)
-    points[5] = [0.0, 0.0, -20.0]
-    xy = place_in_views_compiled(points, views)
-    expected, _ = project_normalized(se3.apply(views[None], points[:, None]))
-    assert np.isnan(xy[5]).all()
-    seen = np.arange(8) != 5
-    np.testing.assert_allclose(xy[seen], expected[seen], rtol=1e-12, atol=1e-12)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ovmot.cameras.lens_kernel import packed_cameras
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
@@ -24,7 +25,7 @@ from ovmot.vio.online_calibration import (
     intrinsics_jacobian,
 )
 from ovmot.vio.state import N_BASE, Clones, State
-from ovmot.vio.triangulation_kernel import place_in_views_compiled, triangulate_views_compiled
+from ovmot.vio.triangulation_kernel import triangulate_views_compiled
 
 _IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
@@ -157,24 +158,13 @@ def consistent_features(
     `points` (F, 3): in world, where they are linearized. Each feature is gated at `chi2_multiplier`
     times the 95 % quantile, then all for consistency (see `innovation_consistency`).
     """
-    clones, calibration = state.clones, state.calibration
-    shape = (*pixels.shape[:2], 2, 2)
-    now = place_in_views_compiled(points, _view_poses(clones.T_world_imu, rig)).reshape(shape)
-    first = place_in_views_compiled(points, _view_poses(clones.T_world_imu_first, rig))
-    first = first.reshape(shape)
-    predicted, at_first, lens = np.empty(shape), np.empty(shape), np.empty((*shape, 2))
-    for side, camera in enumerate(rig.cameras):
-        predicted[:, :, side] = camera.denormalize(now[:, :, side])
-        at_first[:, :, side] = camera.denormalize(first[:, :, side])
-        lens[:, :, side] = camera.denormalize_jacobian(first[:, :, side])
+    clones = state.clones
     n_rows = 4 * pixels.shape[1]
     bounds = settings.chi2_multiplier * gates(np.maximum(np.arange(n_rows + 1.0), 1.0), 0.95)
     weight, H, residual, R, E = consistent_features_compiled(
-        points, pixels, predicted, at_first, lens,
-        _calibration_jacobians(clones, rig, points, calibration),
-        se3.inverse(clones.T_world_imu_first),
-        se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])),
-        np.array([(camera.width, camera.height) for camera in rig.cameras], dtype=np.float64),
+        points, pixels, calibration_jacobians(clones, rig, points, state.calibration),
+        se3.inverse(clones.T_world_imu), se3.inverse(clones.T_world_imu_first),
+        se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
         settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
     )  # fmt: skip
     return ConsistentFeatures(weight, H, residual, PointRows(R, E[..., :-1], E[..., -1]))
@@ -203,7 +193,7 @@ def calibration_jacobian(
     return out
 
 
-def _calibration_jacobians(
+def calibration_jacobians(
     clones: Clones, rig: StereoRig, points: FloatArray, calibration: OnlineCalibration
 ) -> FloatArray:
     """∂pixel/∂(calibration) (F, K, 4, C) of world points (F, 3), by the first estimates."""

@@ -238,13 +238,12 @@ def _weighted_information(
 def consistent_features(
     points: FloatArray,
     pixels: FloatArray,
-    predicted: FloatArray,
-    at_first: FloatArray,
-    lens: FloatArray,
     by_calibration: FloatArray,
-    T_imu_world: FloatArray,
+    T_now: FloatArray,
+    T_first: FloatArray,
     T_cam_imu: FloatArray,
-    size: FloatArray,
+    lens: IntArray,
+    cameras: FloatArray,
     sigma: float,
     P: FloatArray,
     first: int,
@@ -253,12 +252,11 @@ def consistent_features(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """One set of compressed rows by all features that are consistent: weight, H, residual, R, E.
 
-    `points` (F, 3) in world, linearized at the first estimates `T_imu_world` (K, 4, 4); `pixels`
-    (F, K, 4), NaN where not to be used; `predicted`, `at_first` (F, K, 2, 2): pixels by the latest
-    and the first estimates; `lens` (F, K, 2, 2, 2): ∂pixel/∂(undistorted coordinates) at the first;
-    `by_calibration` (F, K, 4, C); `T_cam_imu` (2, 4, 4); `size` (2, 2): width and height of both
-    images; `P` (N, N), of which the calibration begins at `first` and the clones follow; `bounds`
-    (4K + 1,): gate of a feature's distance by its degrees of freedom.
+    `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
+    (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_imu_world of the clones, by
+    latest and first estimates; `T_cam_imu` (2, 4, 4); `lens`, `cameras`: see `packed_cameras`; `P`
+    (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
+    gate of a feature's distance by its degrees of freedom.
 
     `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; `H` (k, n),
     `residual` (k,): the weighted rows, compressed, of noise 1; `R` (F, 3, 3), `E` (F, 3, n + 1):
@@ -276,8 +274,8 @@ def consistent_features(
             window[i, j] = P[first + i, first + j]
     for f in range(n_features):
         m = feature_rows(
-            points[f], pixels[f], predicted[f], at_first[f], lens[f], by_calibration[f],
-            T_imu_world, T_cam_imu, size, sigma, rows[f], clone[f],
+            points[f], points[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            lens, cameras, sigma, rows[f], clone[f],
         )  # fmt: skip
         count[f], dof = m, m - _POINT
         if dof > 0:

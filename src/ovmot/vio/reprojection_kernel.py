@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from ovmot.cameras.lens_kernel import pixel_jacobian, to_pixel
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import part
 from ovmot.kernels.stereo import transform
@@ -42,38 +43,50 @@ def _view_rows(
 
 @part
 def feature_rows(
-    p: FloatArray,
+    p_now: FloatArray,
+    p_first: FloatArray,
     pixels: FloatArray,
-    predicted: FloatArray,
-    at_first: FloatArray,
-    lens: FloatArray,
     by_calibration: FloatArray,
-    T_imu_world: FloatArray,
+    T_now: FloatArray,
+    T_first: FloatArray,
     T_cam_imu: FloatArray,
-    size: FloatArray,
+    lens: IntArray,
+    cameras: FloatArray,
     sigma: float,
     rows: FloatArray,
     clone: IntArray,
 ) -> int:
     """Whitened rows [point | clone | residual | calibration] (m, 10 + C) and their clones; m.
 
-    Of one feature at world point p (3,): `pixels` (K, 4), `predicted` and `at_first` (K, 2, 2),
-    `lens` (K, 2, 2, 2), `by_calibration` (K, 4, C). See `msckf_features.reproject`.
+    Of one feature at world points `p_now` and `p_first` (3,), by latest and first estimates, seen
+    as `pixels` (K, 4) from the poses `T_now` and `T_first` (K, 4, 4): T_imu_world of each clone;
+    `by_calibration` (K, 4, C): ∂pixel/∂(calibration); `lens` (2,), `cameras` (2, 12): see
+    `packed_cameras`. What a view must be to count: see `msckf_features.reproject`.
     """
-    m, p_imu, q = 0, np.empty(3), np.empty(3)
+    m, p_imu, at_first, q, J = 0, np.empty(3), np.empty(3), np.empty(3), np.empty((2, 2))
     for k in range(len(pixels)):
-        transform(T_imu_world[k], p, p_imu)
+        transform(T_now[k], p_now, p_imu)
+        transform(T_first[k], p_first, at_first)
         for c in range(2):
-            u, v = at_first[k, c]
-            border = -_IMAGE_MARGIN * size[c, 0]
-            inside = u >= border and v >= border
-            inside = inside and u <= size[c, 0] - 1.0 - border and v <= size[c, 1] - 1.0 - border
-            r0 = pixels[k, 2 * c] - predicted[k, c, 0]
-            r1 = pixels[k, 2 * c + 1] - predicted[k, c, 1]
+            camera = cameras[c]
+            transform(T_cam_imu[c], p_imu, q)
+            if not (math.isfinite(pixels[k, 2 * c]) and q[2] > 0.0):
+                continue
+            u, v = to_pixel(lens[c], camera, q[0] / q[2], q[1] / q[2])
+            r0, r1 = pixels[k, 2 * c] - u, pixels[k, 2 * c + 1] - v
+            transform(T_cam_imu[c], at_first, q)
+            if not q[2] > 0.0:
+                continue
+            u, v = to_pixel(lens[c], camera, q[0] / q[2], q[1] / q[2])
+            beside = _IMAGE_MARGIN * camera[10]
+            inside = -beside <= u <= camera[10] - 1.0 + beside
+            inside = inside and -beside <= v <= camera[11] - 1.0 + beside
             if not (inside and math.isfinite(r0) and math.isfinite(r1)):
                 continue
-            transform(T_cam_imu[c], p_imu, q)
-            _view_rows(lens[k, c], q, p_imu, T_cam_imu[c], T_imu_world[k], rows[m : m + 2])
+            J[0, 0], J[0, 1], J[1, 0], J[1, 1] = pixel_jacobian(
+                lens[c], camera, q[0] / q[2], q[1] / q[2]
+            )
+            _view_rows(J, q, at_first, T_cam_imu[c], T_first[k], rows[m : m + 2])
             rows[m, 9], rows[m + 1, 9] = r0, r1
             for i in range(2):
                 clone[m + i] = k

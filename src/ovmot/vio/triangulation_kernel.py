@@ -1,4 +1,4 @@
-"""The compiled triangulation of features from the views of the window, and their predicted views.
+"""The compiled triangulation of features from the views of the window.
 
 tests/vio/test_triangulation_kernel.py holds it against the plain NumPy
 `geometry.triangulation.triangulate_many_views`.
@@ -12,7 +12,6 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.small_matrices import invert_symmetric
-from ovmot.kernels.stereo import transform
 
 _ITERATIONS = 6
 _TOLERANCE = 1e-7  # of a step, in normalized coordinates and 1/m
@@ -174,17 +173,5 @@ def triangulate_views(
     return p, valid
 
 
-def place_in_views(points: FloatArray, T_view_world: FloatArray) -> FloatArray:
-    """Normalized coordinates (F, V, 2) of world points (F, 3) in V views; NaN behind them."""
-    out, q = np.empty((len(points), len(T_view_world), 2)), np.empty(3)
-    for f in range(len(points)):
-        for v in range(len(T_view_world)):
-            transform(T_view_world[v], points[f], q)
-            z = q[2] if q[2] > 0.0 else math.nan
-            out[f, v, 0], out[f, v, 1] = q[0] / z, q[1] / z
-    return out
-
-
 _FOLDER = code_folder(Path(__file__))
 triangulate_views_compiled = compiled(triangulate_views, _FOLDER)
-place_in_views_compiled = compiled(place_in_views, _FOLDER)
