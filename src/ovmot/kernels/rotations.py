@@ -65,7 +65,7 @@ def multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
 
 @part
 def orthonormalize(R: FloatArray) -> None:
-    """Take rounding out of a rotation (3, 3), in place.
+    """Take rounding out of a rotation, the first 3 rows and columns of R, in place.
 
     Two steps of Newton's iteration R (3 I - Rᵀ R) / 2 to the nearest rotation: an error e becomes
     e⁴ (N. Higham, SIAM J. Sci. Stat. Comput. 7, 1986).

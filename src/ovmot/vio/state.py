@@ -15,6 +15,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.vio.landmarks import Landmarks, no_landmarks
 from ovmot.vio.online_calibration import OnlineCalibration
 from ovmot.vio.pose_kernel import moved_poses_compiled
+from ovmot.vio.propagation_kernel import covariance_of_compiled
 
 THETA, POSITION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
@@ -162,7 +163,7 @@ def marginalize_clone(state: State, index: int) -> State:
         np.delete(state.clones.T_world_imu, index, axis=0),
         np.delete(state.clones.T_world_imu_first, index, axis=0),
     )
-    return replace(state, clones=clones, covariance=state.covariance[np.ix_(kept, kept)])
+    return replace(state, clones=clones, covariance=covariance_of_compiled(state.covariance, kept))
 
 
 def marginalize_landmarks(state: State, marginalized: BoolArray) -> State:
@@ -174,7 +175,7 @@ def marginalize_landmarks(state: State, marginalized: BoolArray) -> State:
     return replace(
         state,
         landmarks=state.landmarks.rows(~marginalized),
-        covariance=state.covariance[np.ix_(kept, kept)],
+        covariance=covariance_of_compiled(state.covariance, kept),
     )
 
 
