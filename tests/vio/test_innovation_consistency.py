@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_msckf import innovation_consistency, velocity_distance
 from scipy.stats import chi2
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.vio.innovation_consistency import innovation_consistency, velocity_distance
 from ovmot.vio.state import VELOCITY, State
 from ovmot.vio.update import innovation_factor
 

@@ -5,6 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_msckf import (
+    FeatureSystem,
+    chi2_gate,
+    innovation_distances,
+    linearize,
+    project_nullspace,
+)
 from scipy.linalg import null_space
 from scipy.linalg import qr as scipy_qr
 
@@ -14,15 +21,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.types import FrontendFrame
 from ovmot.vio import msckf_features
-from ovmot.vio.msckf_features import (
-    FeatureSystem,
-    chi2_gate,
-    innovation_distances,
-    linearize,
-    project_nullspace,
-    reproject,
-    triangulate_features,
-)
+from ovmot.vio.msckf_features import reproject, triangulate_features
 from ovmot.vio.state import (
     CLONE_SIZE,
     N_BASE,
@@ -154,11 +153,11 @@ def test_features_are_triangulated_in_world(
 ) -> None:
     normalized = per_clone(state, rig, POINTS, "normalized")
     normalized[1, :, 2:] = np.nan
-    found = triangulate_features(state, rig, normalized, 1.0)
-    assert found.valid.all()
-    np.testing.assert_allclose(found.p_world, POINTS, atol=1e-5)
+    points, valid = triangulate_features(state, rig, normalized, 1.0)
+    assert valid.all()
+    np.testing.assert_allclose(points, POINTS, atol=1e-5)
     monkeypatch.setattr(msckf_features, "DEPTH_RANGE_M", (0.1, 5.0))
-    assert not triangulate_features(state, rig, normalized, 1.0).valid.any()
+    assert not triangulate_features(state, rig, normalized, 1.0)[1].any()
 
 
 def random_system(rng: np.random.Generator, n_features: int, m: int, k: int) -> FeatureSystem:

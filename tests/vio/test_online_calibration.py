@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_msckf import linearize
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
@@ -14,7 +15,6 @@ from ovmot.settings import CalibrationSettings
 from ovmot.sim.imu import perfect_imu
 from ovmot.types import ImuNoise
 from ovmot.vio.integrators import INTEGRATORS
-from ovmot.vio.msckf_features import linearize
 from ovmot.vio.online_calibration import (
     OnlineCalibration,
     calibrated_rig,

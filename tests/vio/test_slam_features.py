@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_msckf import FeatureSystem, linearize, project_nullspace
 from scipy.linalg import block_diag
 
 from ovmot.cameras.rig import StereoRig
@@ -12,7 +13,6 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.settings import CalibrationSettings
 from ovmot.vio.landmarks import NO_ANCHOR, REPRESENTATIONS, Landmarks, no_landmarks
-from ovmot.vio.msckf_features import FeatureSystem, linearize, project_nullspace
 from ovmot.vio.online_calibration import calibrated_rig, make_calibration
 from ovmot.vio.slam_features import (
     change_anchor,

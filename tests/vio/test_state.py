@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from ovmot.geometry import se3, so3
 from ovmot.vio.state import (
     CLONE_SIZE,
     N_BASE,
@@ -42,6 +43,20 @@ def test_box_plus_of_box_minus_is_the_other_state(make_state: MakeState, n: int)
         )
     assert again.time_offset_s == pytest.approx(other.time_offset_s, abs=1e-15)
     np.testing.assert_allclose(again.clones.T_world_imu, other.clones.T_world_imu, atol=1e-12)
+
+
+@n_clones
+def test_poses_are_those_of_the_plain_twin(make_state: MakeState, n: int) -> None:
+    rng = np.random.default_rng(5)
+    state, error = make_state(rng, n), error_vector(rng, n)
+    moved = box_plus(state, error)
+    T, d = state.clones.T_world_imu, error[N_BASE:].reshape(-1, CLONE_SIZE)
+    R = so3.project_to_rotation(T[:, :3, :3] @ so3.exp(d[:, :3]))
+    plain = se3.make(R, T[:, :3, 3] + d[:, 3:])
+    np.testing.assert_allclose(moved.clones.T_world_imu, plain, atol=1e-14)
+    plain_R = so3.project_to_rotation(state.imu.R_world_imu @ so3.exp(error[:3]))
+    np.testing.assert_allclose(moved.imu.R_world_imu, plain_R, atol=1e-14)
+    np.testing.assert_array_equal(moved.imu.position, state.imu.position + error[3:6])
 
 
 def test_rotation_errors_are_on_the_right(make_state: MakeState) -> None:

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_msckf import compress
 from scipy.stats import chi2
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.vio.state import State, box_minus
 from ovmot.vio.update import (
-    compress,
     ekf_update,
     innovation_distance,
     innovation_factor,

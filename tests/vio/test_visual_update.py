@@ -216,8 +216,8 @@ def test_a_feature_that_moves_is_gated(make_drive: MakeDrive) -> None:
     def after(seen_as: FloatArray) -> State:
         ids, no_candidates = np.arange(len(pixels)), np.zeros(len(pixels), dtype=np.bool_)
         return visual_update.msckf_update(
-            ego.state, ego.rig, ego.rig.T_imu_cam0, seen_as, ids, no_candidates,
-            ego.settings.filter,
+            ego.state, ego.rig, ego.rig.T_imu_cam0, seen_as, ego.rig.normalize(seen_as), ids,
+            no_candidates, ego.settings.filter,
         )  # fmt: skip
 
     assert after(pixels + drift) is ego.state

@@ -108,6 +108,12 @@ class Camera:
         d = self.model.distort(xy, self.distortion)
         return np.stack([fx * d[..., 0] + skew * d[..., 1] + cx, fy * d[..., 1] + cy], axis=-1)
 
+    def denormalize_jacobian(self, xy: FloatArray) -> FloatArray:
+        """∂pixel/∂xy (..., 2, 2) at undistorted normalized coordinates (..., 2)."""
+        A = np.array([[self.fx, self.intrinsics[4]], [0.0, self.fy]])
+        J: FloatArray = A @ self.model.distort_jacobian(xy, self.distortion)[0]
+        return J
+
     def project(self, points_cam: FloatArray) -> FloatArray:
         """Pixels (..., 2) of points (..., 3) in the camera frame, metres; NaN behind it."""
         z = points_cam[..., 2:]
@@ -117,13 +123,11 @@ class Camera:
         """Pixels (..., 2) and their derivative by the point (..., 2, 3), pixels per metre."""
         z = np.where(points_cam[..., 2] > 0.0, points_cam[..., 2], np.nan)
         xy = points_cam[..., :2] / z[..., None]
-        J_intrinsics, _ = self.model.distort_jacobian(xy, self.distortion)
         plane = np.zeros((*xy.shape[:-1], 2, 3))
         plane[..., 0, 0] = plane[..., 1, 1] = 1.0 / z
         plane[..., 0, 2] = -xy[..., 0] / z
         plane[..., 1, 2] = -xy[..., 1] / z
-        A = np.array([[self.fx, self.intrinsics[4]], [0.0, self.fy]])
-        return self.denormalize(xy), A @ J_intrinsics @ plane
+        return self.denormalize(xy), self.denormalize_jacobian(xy) @ plane
 
     def inside(self, pixels: FloatArray, border: float = 0.0) -> BoolArray:
         """Which pixels (..., 2) lie in the image, at least `border` pixels from its edge."""

@@ -1,4 +1,4 @@
-"""Visual measurements of MSCKF features: residuals, Jacobians and nullspace projection, batched.
+"""Visual measurements: triangulation, reprojection errors and the rows that features give.
 
 A. Mourikis & S. Roumeliotis, ICRA 2007. Clone poses enter the Jacobians at their first estimates,
 the residual at the latest ones.
@@ -8,11 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ovmot.cameras.lens_kernel import packed_cameras
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.triangulation import ManyViewPoints, triangulate_many_views
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.triangulation import MAX_DEPTH_M
 from ovmot.physics import gates
+from ovmot.settings import FilterSettings
+from ovmot.vio.innovation_consistency import VELOCITY_BOUND
+from ovmot.vio.msckf_kernel import consistent_features_compiled
 from ovmot.vio.online_calibration import (
     CAMERA_INTRINSICS,
     CAMERA_POSES,
@@ -20,10 +24,10 @@ from ovmot.vio.online_calibration import (
     camera_pose_jacobian,
     intrinsics_jacobian,
 )
-from ovmot.vio.state import Clones, State
+from ovmot.vio.state import N_BASE, Clones, State
+from ovmot.vio.triangulation_kernel import triangulate_views_compiled
 
 _IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
-
 
 DEPTH_RANGE_M = (0.1, 150.0)
 """Triangulated points nearer or farther are not used: beyond, a window's parallax is noise."""
@@ -46,20 +50,6 @@ class Reprojection:
 
 
 @dataclass(frozen=True, slots=True)
-class FeatureSystem:
-    """Linear measurements of F features over K clones, whitened by the pixel noise.
-
-    `H` (F, M, C + 6K) over the calibration and the clones, `H_point` (F, M, 3), `residual` (F, M)
-    with M = 4K rows, zero where a view did not see the feature; `n_rows` (F,): how many were seen.
-    """
-
-    H: FloatArray
-    H_point: FloatArray
-    residual: FloatArray
-    n_rows: IntArray
-
-
-@dataclass(frozen=True, slots=True)
 class PointRows:
     """The rows that determine F points: R δp + H x = residual, with white noise of variance 1.
 
@@ -76,17 +66,18 @@ class PointRows:
 
 
 @dataclass(frozen=True, slots=True)
-class NullspaceSystem:
-    """Measurements of F features: rows that determine the points, and rows in their left nullspace.
+class ConsistentFeatures:
+    """One update by all features that are consistent.
 
-    `H` (F, M - 3, C + 6K) and `residual` (F, M - 3) do not depend on the points; their noise is
-    independent of that of `points`. `dof` (F,): degrees of freedom of the residual, rows seen - 3.
+    `weight` (F,): factor on each feature's rows, 0 for those left out, up to 1; `H` (k, C + 6K) and
+    `residual` (k,): the weighted rows, compressed and whitened; `points`: the rows that determine
+    the points, of all features.
     """
 
-    points: PointRows
+    weight: FloatArray
     H: FloatArray
     residual: FloatArray
-    dof: IntArray
+    points: PointRows
 
 
 def triangulate_features(
@@ -94,19 +85,18 @@ def triangulate_features(
     rig: StereoRig,
     normalized: FloatArray,
     sigma_px: float,
-) -> ManyViewPoints:
-    """Points (F, 3) in world of features seen as `normalized` (F, K, 4) from the state's K clones.
+) -> tuple[FloatArray, BoolArray]:
+    """Points (F, 3) in world of features seen as `normalized` (F, K, 4), and which are valid (F,).
 
-    `rig`: as calibrated now; `sigma_px`: standard deviation of a pixel coordinate. Points whose
-    depth is not in `DEPTH_RANGE_M` are not valid.
+    From the state's K clones. `rig`: as calibrated now; `sigma_px`: standard deviation of a pixel
+    coordinate. Points whose depth is not in `DEPTH_RANGE_M` are not valid.
     """
-    n_features, n_clones, _ = normalized.shape
-    T_imu_world = se3.inverse(state.clones.T_world_imu)
-    T_views = np.stack(
-        [se3.inverse(rig.T_imu_cam0) @ T_imu_world, se3.inverse(rig.T_imu_cam1) @ T_imu_world], 1
-    ).reshape(2 * n_clones, 4, 4)
-    views = normalized.reshape(n_features, 2 * n_clones, 2)
-    return triangulate_many_views(views, T_views, sigma_px / rig.cam0.fx, depth_range=DEPTH_RANGE_M)
+    views = np.ascontiguousarray(normalized).reshape(len(normalized), -1, 2)
+    points, valid = triangulate_views_compiled(
+        views, _view_poses(state.clones.T_world_imu, rig), sigma_px / rig.cam0.fx,
+        np.array([*DEPTH_RANGE_M, MAX_DEPTH_M]),
+    )  # fmt: skip
+    return points, valid
 
 
 def reproject(
@@ -147,15 +137,7 @@ def reproject(
         by_point[..., rows, :] = J_imu @ first[None, :, :3, :3]
         by_pose[..., rows, :3] = J_imu @ by_theta
         by_pose[..., rows, 3:] = -by_point[..., rows, :]
-        columns = calibration.columns(CAMERA_POSES[side])
-        if columns is not None:
-            by_camera_pose = camera_pose_jacobian(
-                calibration, CAMERA_POSES[side], p_cam, T_cam_imu[:3, :3]
-            )
-            by_calibration[..., rows, columns] = J @ by_camera_pose
-        columns = calibration.columns(CAMERA_INTRINSICS[side])
-        if columns is not None:
-            by_calibration[..., rows, columns] = intrinsics_jacobian(camera, p_cam)
+        by_calibration[..., rows, :] = calibration_jacobian(rig, side, p_first, J, calibration)
     seen = in_image & np.isfinite(residual) & np.isfinite(by_pose).all(-1)
 
     def whitened(values: FloatArray) -> FloatArray:
@@ -167,70 +149,67 @@ def reproject(
     )  # fmt: skip
 
 
-def linearize(
-    state: State, rig: StereoRig, pixels: FloatArray, p_world: FloatArray, sigma_px: float
-) -> FeatureSystem:
-    """The measurements of features seen as `pixels` (F, K, 4) at points (F, 3); see `reproject`."""
-    n_features, n_clones, _ = pixels.shape
-    r = reproject(
-        state.clones, rig, pixels, (p_world, p_world), sigma_px, state.calibration
+def consistent_features(
+    state: State, rig: StereoRig, pixels: FloatArray, points: FloatArray, settings: FilterSettings
+) -> ConsistentFeatures:
+    """One set of rows by those features that agree with each other and with the prediction.
+
+    `rig` as calibrated now; `pixels` (F, K, 4) from the K clones, NaN where not to be used;
+    `points` (F, 3): in world, where they are linearized. Each feature is gated at `chi2_multiplier`
+    times the 95 % quantile, then all for consistency (see `innovation_consistency`).
+    """
+    clones = state.clones
+    n_rows = 4 * pixels.shape[1]
+    bounds = settings.chi2_multiplier * gates(np.maximum(np.arange(n_rows + 1.0), 1.0), 0.95)
+    weight, H, residual, R, E = consistent_features_compiled(
+        points, pixels, calibration_jacobians(clones, rig, points, state.calibration),
+        se3.inverse(clones.T_world_imu), se3.inverse(clones.T_world_imu_first),
+        se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
+        settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
     )  # fmt: skip
-    H = np.zeros((n_features, n_clones, 4, n_clones, 6))
-    k = np.arange(n_clones)
-    H[:, k, :, k, :] = np.moveaxis(r.by_pose, 1, 0)
-    m = 4 * n_clones
-    by_calibration = r.by_calibration.reshape(n_features, m, len(state.calibration))
-    return FeatureSystem(
-        np.concatenate([by_calibration, H.reshape(n_features, m, 6 * n_clones)], axis=2),
-        r.by_point.reshape(n_features, m, 3),
-        r.residual.reshape(n_features, m),
-        r.seen.sum((1, 2)),
-    )
+    return ConsistentFeatures(weight, H, residual, PointRows(R, E[..., :-1], E[..., -1]))
 
 
-def project_nullspace(system: FeatureSystem) -> NullspaceSystem:
-    """Nullspace projection: the same measurements in rows of which only three depend on the point.
+def calibration_jacobian(
+    rig: StereoRig, side: int, p_imu: FloatArray, J: FloatArray, calibration: OnlineCalibration
+) -> FloatArray:
+    """∂pixel/∂(calibration) (..., 2, C) of points (..., 3), m, in the IMU, in one camera.
 
-    Three Householder reflections, on all features at once, bring H_point to triangular form; the
-    rows below are those of the left nullspace of H_point.
+    `J` (..., 2, 3): derivative of the pixel by the point in the camera.
     """
-    A = triangularize(
-        np.concatenate([system.H_point, system.H, system.residual[..., None]], axis=2), 3
-    )
-    point = PointRows(A[:, :3, :3], A[:, :3, 3:-1], A[:, :3, -1])
-    return NullspaceSystem(point, A[:, 3:, 3:-1], A[:, 3:, -1], system.n_rows - 3)
+    out = np.zeros((*J.shape[:-1], len(calibration)))
+    if not len(calibration):
+        return out
+    T_cam_imu = se3.inverse((rig.T_imu_cam0, rig.T_imu_cam1)[side])
+    p_cam = se3.apply(T_cam_imu, p_imu)
+    columns = calibration.columns(CAMERA_POSES[side])
+    if columns is not None:
+        out[..., columns] = J @ camera_pose_jacobian(
+            calibration, CAMERA_POSES[side], p_cam, T_cam_imu[:3, :3]
+        )
+    columns = calibration.columns(CAMERA_INTRINSICS[side])
+    if columns is not None:
+        out[..., columns] = intrinsics_jacobian(rig.cameras[side], p_cam)
+    return out
 
 
-def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
-    """Matrices A (F, M, N) with the first `n_columns` columns zero below the diagonal.
-
-    By Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
-    """
-    A = A.copy()
-    for j in range(n_columns):
-        x = A[:, j:, j]
-        v = x.copy()
-        sign = np.where(x[:, 0] < 0.0, -1.0, 1.0)
-        v[:, 0] += sign * np.linalg.norm(x, axis=1)
-        length = (v * v).sum(1)
-        v *= np.sqrt(2.0 / np.where(length > 0.0, length, 1.0))[:, None]
-        A[:, j:] -= v[:, :, None] * (v[:, None, :] @ A[:, j:])
-    return A
+def calibration_jacobians(
+    clones: Clones, rig: StereoRig, points: FloatArray, calibration: OnlineCalibration
+) -> FloatArray:
+    """∂pixel/∂(calibration) (F, K, 4, C) of world points (F, 3), by the first estimates."""
+    out = np.zeros((len(points), len(clones), 4, len(calibration)))
+    if len(calibration):
+        p_imu = se3.apply(se3.inverse(clones.T_world_imu_first)[None], points[:, None])
+        for side, camera in enumerate(rig.cameras):
+            T_cam_imu = se3.inverse((rig.T_imu_cam0, rig.T_imu_cam1)[side])
+            _, J = camera.project_with_jacobian(se3.apply(T_cam_imu, p_imu))
+            rows = slice(2 * side, 2 * side + 2)
+            out[..., rows, :] = calibration_jacobian(rig, side, p_imu, J, calibration)
+    return out
 
 
-def innovation_distances(P: FloatArray, H: FloatArray, residual: FloatArray) -> FloatArray:
-    """Squared Mahalanobis distance (F,) of each feature's innovation: rᵀ (H P Hᵀ + I)⁻¹ r.
-
-    `P` (N, N): covariance of the coordinates that H (F, M, N) multiplies; `residual` (F, M).
-    """
-    HP = (H.reshape(-1, len(P)) @ P).reshape(H.shape)  # one product for all features
-    S = HP @ np.swapaxes(H, -1, -2) + np.eye(H.shape[1])
-    distance: FloatArray = (residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(-1)
-    return distance
-
-
-def chi2_gate(distance: FloatArray, dof: IntArray, multiplier: float) -> BoolArray:
-    """Features (F,) whose squared distance (F,) is below the 95 % gate of their `dof` (F,)."""
-    bounds = gates(np.maximum(dof, 1).astype(np.float64), 0.95)
-    passed: BoolArray = (distance < multiplier * bounds) & (dof > 0)
-    return passed
+def _view_poses(T_world_imu: FloatArray, rig: StereoRig) -> FloatArray:
+    """T_view_world (2K, 4, 4) of both cameras of each clone, clone by clone."""
+    T_cam_imu = se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1]))
+    T = T_cam_imu[None] @ se3.inverse(T_world_imu)[:, None]
+    return np.ascontiguousarray(T.reshape(-1, 4, 4))

@@ -10,20 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from ovmot.cameras.lens_kernel import packed_cameras
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.vio.innovation_consistency import innovation_consistency
+from ovmot.physics import gates
+from ovmot.vio.innovation_consistency import VELOCITY_BOUND
+from ovmot.vio.landmark_kernel import consistent_landmarks_compiled, landmark_rows_compiled
 from ovmot.vio.landmarks import NO_ANCHOR, Landmarks
-from ovmot.vio.msckf_features import (
-    PointRows,
-    chi2_gate,
-    innovation_distances,
-    reproject,
-    triangularize,
-)
-from ovmot.vio.state import CLONE_SIZE, Clones, State
-from ovmot.vio.update import ekf_update
+from ovmot.vio.msckf_features import PointRows, calibration_jacobians
+from ovmot.vio.state import CLONE_SIZE, N_BASE, Clones, State
+from ovmot.vio.update import update_by_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,37 +62,23 @@ def landmark_points(
 def landmark_system(
     state: State, rig: StereoRig, T_imu_anchor: FloatArray, pixels: FloatArray, sigma_px: float
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """H (L, m, N - 16), residual (L, m) and degrees of freedom (L,) of the newest clone's view.
+    """H (L, 1 + s, N - 16), residual (L, 1 + s) and degrees of freedom (L,) of the newest view.
 
     `rig`: as calibrated now; `pixels` (L, 4), NaN where unseen; `sigma_px`: their standard
     deviation. N - 16 are the coordinates after the time offset. Where only the inverse depth is
     estimated, the bearing is projected out, and two rows are lost.
     """
-    landmarks, n = state.landmarks, len(state.landmarks)
-    latest = landmark_points(landmarks, state.clones, T_imu_anchor, first=False)
-    first = landmark_points(landmarks, state.clones, T_imu_anchor, first=True)
-    newest = len(state.clones) - 1
-    view = Clones(
-        state.clones.timestamp_ns[-1:], state.clones.T_world_imu[-1:],
-        state.clones.T_world_imu_first[-1:],
+    landmarks, clones = state.landmarks, state.clones
+    latest = landmark_points(landmarks, clones, T_imu_anchor, first=False)
+    first = landmark_points(landmarks, clones, T_imu_anchor, first=True)
+    view = Clones(clones.timestamp_ns[-1:], clones.T_world_imu[-1:], clones.T_world_imu_first[-1:])
+    return landmark_rows_compiled(
+        latest.p_world, first.p_world, first.by_value, first.by_anchor, first.anchor,
+        pixels[:, None], calibration_jacobians(view, rig, first.p_world, state.calibration),
+        se3.inverse(view.T_world_imu), se3.inverse(view.T_world_imu_first),
+        se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
+        sigma_px, len(clones), landmarks.size,
     )  # fmt: skip
-    r = reproject(
-        view, rig, pixels[:, None], (latest.p_world, first.p_world), sigma_px, state.calibration
-    )
-    by_point = r.by_point[:, 0]
-    offset = len(state.calibration)
-    H = np.zeros((n, 4, len(state.covariance) - state.first_clone + offset))
-    H[..., :offset] = r.by_calibration[:, 0]
-    pose = offset + CLONE_SIZE * newest
-    H[..., pose : pose + CLONE_SIZE] = r.by_pose[:, 0]
-    _add_anchor(H, by_point @ first.by_anchor, first.anchor, offset)
-    size = landmarks.size
-    by_value = by_point @ first.by_value
-    start = offset + CLONE_SIZE * len(state.clones) + size * np.arange(n)
-    for k in range(size):
-        H[np.arange(n), :, start + k] = by_value[..., 3 - size + k]
-    bearing = by_value[..., : 3 - size]
-    return _project_out(bearing, H, r.residual[:, 0], r.seen[:, 0].sum(1))
 
 
 def update_slam_features(
@@ -113,19 +96,14 @@ def update_slam_features(
     if not len(state.landmarks) or not np.isfinite(pixels).any():
         return state
     H, residual, dof = landmark_system(state, rig, T_imu_anchor, pixels, sigma_px)
-    start = state.first_clone - len(state.calibration)
-    columns = np.arange(start, len(state.covariance))
-    P = state.covariance[start:, start:]
-    distance = innovation_distances(P, H, residual)
-    passed = chi2_gate(distance, dof, chi2_multiplier)
+    bounds = chi2_multiplier * gates(np.maximum(dof, 1.0), 0.95)
+    passed, rows, r = consistent_landmarks_compiled(
+        state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
+    )
     rejections = state.landmarks.rejections + ((dof > 0) & ~passed)
     rejections[passed] = 0
     state = replace(state, landmarks=replace(state.landmarks, rejections=rejections))
-    consistent = innovation_consistency(state, H, residual, columns, distance, dof, passed)
-    if consistent is None:
-        return state
-    variance = np.ones(len(consistent.residual))
-    return ekf_update(state, consistent.H, columns, consistent.residual, variance, consistent.L)
+    return update_by_rows(state, rows, r, N_BASE)
 
 
 def delayed_initialization(
@@ -278,3 +256,20 @@ def _project_out(
         return H, residual, n_rows
     A = triangularize(np.concatenate([bearing, H, residual[..., None]], axis=2), b)
     return A[:, b:, b:-1], A[:, b:, -1], np.maximum(n_rows - b, 0)
+
+
+def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
+    """Matrices A (F, M, N) with the first `n_columns` columns zero below the diagonal.
+
+    By Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
+    """
+    A = A.copy()
+    for j in range(n_columns):
+        x = A[:, j:, j]
+        v = x.copy()
+        sign = np.where(x[:, 0] < 0.0, -1.0, 1.0)
+        v[:, 0] += sign * np.linalg.norm(x, axis=1)
+        length = (v * v).sum(1)
+        v *= np.sqrt(2.0 / np.where(length > 0.0, length, 1.0))[:, None]
+        A[:, j:] -= v[:, :, None] * (v[:, None, :] @ A[:, j:])
+    return A

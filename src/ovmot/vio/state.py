@@ -14,6 +14,8 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.vio.landmarks import Landmarks, no_landmarks
 from ovmot.vio.online_calibration import OnlineCalibration
+from ovmot.vio.pose_kernel import moved_poses_compiled
+from ovmot.vio.propagation_kernel import covariance_of_compiled
 
 THETA, POSITION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
@@ -104,25 +106,24 @@ def no_clones() -> Clones:
 
 def box_plus(state: State, error: FloatArray) -> State:
     """The state plus an error vector (N,): estimates change, first estimates stay."""
+    clones = state.clones
+    poses = np.concatenate([clones.T_world_imu, pose_matrix(state.imu)[None]])
+    errors = np.empty((len(poses), CLONE_SIZE))
+    errors[:-1] = error[state.first_clone : state.first_landmark].reshape(-1, CLONE_SIZE)
+    errors[-1] = error[THETA.start : POSITION.stop]
+    poses = moved_poses_compiled(poses, errors)
     imu = ImuState(
-        R_world_imu=so3.project_to_rotation(state.imu.R_world_imu @ so3.exp(error[THETA])),
-        position=state.imu.position + error[POSITION],
+        R_world_imu=poses[-1, :3, :3].copy(),
+        position=poses[-1, :3, 3].copy(),
         velocity=state.imu.velocity + error[VELOCITY],
         gyro_bias=state.imu.gyro_bias + error[GYRO_BIAS],
         accel_bias=state.imu.accel_bias + error[ACCEL_BIAS],
     )
-    poses = state.clones.T_world_imu
-    if len(poses):
-        d = error[state.first_clone : state.first_landmark].reshape(-1, CLONE_SIZE)
-        poses = se3.make(
-            so3.project_to_rotation(poses[:, :3, :3] @ so3.exp(d[:, :3])),
-            poses[:, :3, 3] + d[:, 3:],
-        )
     return replace(
         state,
         imu=imu,
         time_offset_s=state.time_offset_s + float(error[TIME_OFFSET]),
-        clones=replace(state.clones, T_world_imu=poses),
+        clones=Clones(clones.timestamp_ns, poses[:-1], clones.T_world_imu_first),
         calibration=state.calibration.plus(error[state.calibration_columns]),
         landmarks=state.landmarks.plus(error[state.first_landmark :]),
     )
@@ -162,7 +163,7 @@ def marginalize_clone(state: State, index: int) -> State:
         np.delete(state.clones.T_world_imu, index, axis=0),
         np.delete(state.clones.T_world_imu_first, index, axis=0),
     )
-    return replace(state, clones=clones, covariance=state.covariance[np.ix_(kept, kept)])
+    return replace(state, clones=clones, covariance=covariance_of_compiled(state.covariance, kept))
 
 
 def marginalize_landmarks(state: State, marginalized: BoolArray) -> State:
@@ -174,7 +175,7 @@ def marginalize_landmarks(state: State, marginalized: BoolArray) -> State:
     return replace(
         state,
         landmarks=state.landmarks.rows(~marginalized),
-        covariance=state.covariance[np.ix_(kept, kept)],
+        covariance=covariance_of_compiled(state.covariance, kept),
     )
 
 

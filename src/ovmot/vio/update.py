@@ -8,6 +8,7 @@ from scipy.linalg.lapack import dgeqrt, dpstrf
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.vio.state import State, box_plus
+from ovmot.vio.update_kernel import kalman_update_compiled
 
 
 def ekf_update(
@@ -38,6 +39,21 @@ def ekf_update(
     return replace(updated, covariance=0.5 * (covariance + covariance.T))
 
 
+def update_by_rows(state: State, H: FloatArray, residual: FloatArray, first: int) -> State:
+    """The state updated by residual = H δ[first:first + k] + n, n ~ N(0, I), in compiled code.
+
+    `H` (m, k), `residual` (m,). As `ekf_update`; the innovation covariance is formed, so that no
+    row of H may be so large that rounding loses the noise. Raises `FloatingPointError` where the
+    numbers break down.
+    """
+    if len(residual) == 0:
+        return state
+    error, covariance = kalman_update_compiled(state.covariance, H, residual, first)
+    if not np.isfinite(error).all():
+        raise FloatingPointError("an update is not finite")
+    return replace(box_plus(state, error), covariance=covariance)
+
+
 def innovation_distance(
     state: State, H: FloatArray, columns: IntArray, residual: FloatArray, variance: FloatArray
 ) -> float:
@@ -64,19 +80,6 @@ def innovation_factor(P: FloatArray, H: FloatArray, variance: FloatArray) -> Flo
     HF = (H * scale)[:, pivots - 1] @ np.tril(C)[:, :rank]
     stacked = np.concatenate([HF.T, np.diag(np.sqrt(variance))])
     return triangular_part(stacked).T
-
-
-def compress(H: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Measurement compression: H (m, n) and residual (m,), of equal variances, in min(m, n) rows.
-
-    QR of [H | r]: the rows of Qᵀr below the rank of H hold only noise (A. Mourikis &
-    S. Roumeliotis, ICRA 2007, eq. 26-28).
-    """
-    m, n = H.shape
-    if m <= n:
-        return H, residual
-    R = triangular_part(np.column_stack([H, residual]))
-    return R[:n, :n], R[:n, n]
 
 
 def triangular_part(A: FloatArray, *, block: int = 32) -> FloatArray:

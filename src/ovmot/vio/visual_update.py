@@ -9,20 +9,14 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, mark_used
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.id_sets import contained, positions
 from ovmot.settings import FilterSettings
-from ovmot.vio.innovation_consistency import innovation_consistency
-from ovmot.vio.msckf_features import (
-    FeatureSystem,
-    chi2_gate,
-    innovation_distances,
-    linearize,
-    project_nullspace,
-    triangulate_features,
-)
+from ovmot.vio.msckf_features import consistent_features, triangulate_features
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
-from ovmot.vio.state import State, marginalize_landmarks
-from ovmot.vio.update import ekf_update
+from ovmot.vio.state import N_BASE, State, marginalize_landmarks
+from ovmot.vio.update import update_by_rows
+from ovmot.vio.window_kernel import available_views_compiled, gather_views_compiled
 
 _MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
 _MAX_REJECTIONS = 3  # in a row, after which a SLAM feature is marginalized
@@ -55,7 +49,7 @@ def update_with_features(
         oldest = table.frame_ns == state.clones.timestamp_ns[0]
         marginalized = available[oldest].any(axis=0)
     candidates = (lost | marginalized) & (n_views >= _MIN_VIEWS) & ~table.outlier
-    candidates &= ~np.isin(table.feature_id, state.landmarks.feature_id)
+    candidates[table.columns(state.landmarks.feature_id)] = False
     room = settings.max_landmarks - len(state.landmarks)
     slam_candidates = _longest(candidates & ~lost, n_views, room)
     msckf_features = _longest(
@@ -64,9 +58,14 @@ def update_with_features(
 
     updating = msckf_features | slam_candidates
     if updating.any():
-        pixels = _pixels_per_clone(table, state, available, updating)
+        pixels, normalized = gather_views_compiled(
+            table.pixels, table.normalized, available, np.flatnonzero(updating),
+            positions(state.clones.timestamp_ns, table.frame_ns),
+        )  # fmt: skip
+        if calibrated is not rig:
+            normalized = calibrated.normalize(pixels)
         state = msckf_update(
-            state, calibrated, rig.T_imu_cam0, pixels,
+            state, calibrated, rig.T_imu_cam0, pixels, normalized,
             table.feature_id[updating], slam_candidates[updating], settings,
         )  # fmt: skip
     return state, mark_used(table, available & (updating | lost))
@@ -74,13 +73,15 @@ def update_with_features(
 
 def available_observations(table: FeatureTable, state: State) -> BoolArray:
     """Observations (T, F) that an update may use: from clones, unused, of features not dynamic."""
-    return table.seen & ~table.used & ~table.dynamic & clone_rows(table, state)[:, None]
+    return available_views_compiled(
+        table.pixels, table.used, table.dynamic, clone_rows(table, state)
+    )
 
 
 def clone_rows(table: FeatureTable, state: State) -> BoolArray:
     """Rows (T,) whose frame is itself a clone of the state, not one that shares a clone."""
     own: BoolArray = table.frame_ns == table.clone_ns
-    return own & np.isin(table.clone_ns, state.clones.timestamp_ns)
+    return own & contained(table.clone_ns, state.clones.timestamp_ns)
 
 
 def msckf_update(
@@ -88,6 +89,7 @@ def msckf_update(
     rig: StereoRig,
     T_imu_anchor: FloatArray,
     pixels: FloatArray,
+    normalized: FloatArray,
     feature_id: IntArray,
     slam_candidate: BoolArray,
     settings: FilterSettings,
@@ -95,32 +97,24 @@ def msckf_update(
     """MSCKF update by F features, of which the SLAM candidates enter the state.
 
     `rig`: as calibrated now; `T_imu_anchor` (4, 4): the left camera of the files; `pixels` (F, K,
-    4) from the K clones, NaN where not to be used; `feature_id` (F,), `slam_candidate` (F,).
+    4) from the K clones, NaN where not to be used, with their `normalized` coordinates (F, K, 4);
+    `feature_id` (F,), `slam_candidate` (F,).
 
     All are linearized at one state and update it together: updates one after another would need a
     new linearization each.
     """
-    system, p_world, triangulated = _linearized_features(state, rig, pixels, settings)
-    if not len(system.residual):
+    points, valid = triangulate_features(state, rig, normalized, settings.pixel_sigma)
+    if not valid.any():
         return state
-    projected = project_nullspace(system)
-    columns = np.arange(state.first_clone - len(state.calibration), state.first_landmark)
-    P = state.covariance[columns[0] : columns[-1] + 1, columns[0] : columns[-1] + 1]
-    distance = innovation_distances(P, projected.H, projected.residual)
-    passed = chi2_gate(distance, projected.dof, settings.chi2_multiplier)
-    consistent = innovation_consistency(
-        state, projected.H, projected.residual, columns, distance, projected.dof, passed
-    )
-    if consistent is None:
+    points, slam_candidate = points[valid], slam_candidate[valid]
+    consistent = consistent_features(state, rig, pixels[valid], points, settings)
+    if not consistent.weight.any():
         return state
-    new = (consistent.weight > 0.0) & slam_candidate[triangulated]
+    new = (consistent.weight > 0.0) & slam_candidate
     state = delayed_initialization(
-        state, projected.points.rows(new), feature_id[triangulated][new], p_world[new], T_imu_anchor
+        state, consistent.points.rows(new), feature_id[valid][new], points[new], T_imu_anchor
     )
-    variance = np.ones(len(consistent.residual))
-    return ekf_update(
-        state, consistent.H, columns, consistent.residual, variance, consistent.L
-    )  # fmt: skip
+    return update_by_rows(state, consistent.H, consistent.residual, N_BASE)
 
 
 def _update_with_slam_features(
@@ -131,13 +125,14 @@ def _update_with_slam_features(
     settings: FilterSettings,
 ) -> tuple[State, FeatureTable]:
     """Marginalize SLAM features that are lost, dynamic or rejected; update by the others."""
-    ids = state.landmarks.feature_id
-    alive = table.feature_id[table.seen_now & ~table.dynamic]
-    rejected = state.landmarks.rejections >= _MAX_REJECTIONS
-    state = marginalize_landmarks(state, ~np.isin(ids, alive) | rejected)
     if not len(state.landmarks):
         return state, table
     column = table.columns(state.landmarks.feature_id)
+    alive = (column >= 0) & table.seen_now[column] & ~table.dynamic[column]
+    alive &= state.landmarks.rejections < _MAX_REJECTIONS
+    state, column = marginalize_landmarks(state, ~alive), column[alive]
+    if not len(column):
+        return state, table
     pixels = table.pixels[-1, column]
     pixels[table.outlier[column]] = np.nan
     state = update_slam_features(
@@ -156,29 +151,3 @@ def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     ranked = np.argsort(np.where(candidates, -n_views, 1), kind="stable")
     out[ranked[: max(count, 0)]] = True
     return out
-
-
-def _linearized_features(
-    state: State, rig: StereoRig, pixels: FloatArray, settings: FilterSettings
-) -> tuple[FeatureSystem, FloatArray, BoolArray]:
-    """Measurements and world points (T, 3) of the features that could be triangulated, and which
-    (F,) these are."""
-    sigma = settings.pixel_sigma
-    points = triangulate_features(state, rig, rig.normalize(pixels), sigma)
-    valid = points.valid
-    system = linearize(state, rig, pixels[valid], points.p_world[valid], sigma)
-    return system, points.p_world[valid], valid
-
-
-def _pixels_per_clone(
-    table: FeatureTable, state: State, available: BoolArray, features: BoolArray
-) -> FloatArray:
-    """Available pixels (F, K, 4) of the features marked, from the K clones; NaN elsewhere."""
-    index = np.flatnonzero(features)
-    pixels = np.full((len(index), len(state.clones), 4), np.nan)
-    for k, stamp in enumerate(state.clones.timestamp_ns):
-        row = np.flatnonzero(table.frame_ns == stamp)
-        if len(row):
-            seen = available[row[0], index]
-            pixels[seen, k] = table.pixels[row[0], index[seen]]
-    return pixels

@@ -1,8 +1,8 @@
 """Camera models: how a lens moves a point of the ideal image plane.
 
 A model works on normalized coordinates (x/z, y/z), without unit. A new model is one file in this
-folder, with a class that has `distort`, `distort_jacobian` and `undistort` (see `CameraModel`), and
-a line in `CAMERA_MODELS`.
+folder, with a class that has `distort`, `distort_jacobian` and `undistort` (see `CameraModel`), a
+line in `CAMERA_MODELS`, and its compiled form in `cameras.lens_kernel`.
 """
 
 from ovmot.cameras.models.equidistant import Equidistant

@@ -1,0 +1,95 @@
+"""Compiled camera models: what a lens does to a point of the ideal image plane, and pixels.
+
+Called by kernels only. The plain NumPy twins are the models of `cameras.models`: each of them has a
+code here, its place in `LENSES`.
+"""
+
+import math
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.kernels.cache import part
+
+LENSES = ("none", "radtan", "equidistant")
+_RADTAN, _EQUIDISTANT = 1, 2
+
+Four = tuple[float, float, float, float]
+
+
+@part
+def distort(lens: int, d: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Distorted normalized coordinates of undistorted ones, with coefficients d (5,)."""
+    if lens == _RADTAN:
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
+        return (
+            x * radial + 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x),
+            y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y,
+        )
+    if lens == _EQUIDISTANT:
+        r = math.sqrt(x * x + y * y)
+        if r < 1e-8:
+            return x, y
+        theta = math.atan(r)
+        t2 = theta * theta
+        scale = theta * (1.0 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3])))) / r
+        return x * scale, y * scale
+    return x, y
+
+
+@part
+def distort_jacobian(lens: int, d: FloatArray, x: float, y: float) -> Four:
+    """Derivative of `distort` by (x, y), row by row."""
+    if lens == _RADTAN:
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
+        slope = 2.0 * (d[0] + r2 * (2.0 * d[1] + 3.0 * r2 * d[4]))
+        mixed = slope * x * y + 2.0 * d[2] * x + 2.0 * d[3] * y
+        return (
+            radial + slope * x * x + 2.0 * d[2] * y + 6.0 * d[3] * x,
+            mixed,
+            mixed,
+            radial + slope * y * y + 6.0 * d[2] * y + 2.0 * d[3] * x,
+        )
+    if lens == _EQUIDISTANT:
+        r = math.sqrt(x * x + y * y)
+        if r < 1e-8:
+            return 1.0, 0.0, 0.0, 1.0
+        theta = math.atan(r)
+        t2 = theta * theta
+        scale = theta * (1.0 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3])))) / r
+        slope = 1.0 + t2 * (3.0 * d[0] + t2 * (5.0 * d[1] + t2 * (7.0 * d[2] + t2 * 9.0 * d[3])))
+        along = (slope / (1.0 + r * r) - scale) / (r * r)
+        return scale + along * x * x, along * x * y, along * x * y, scale + along * y * y
+    return 1.0, 0.0, 0.0, 1.0
+
+
+@part
+def to_pixel(lens: int, camera: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """Pixel of undistorted normalized coordinates; `camera` (12,): see `packed_cameras`."""
+    x, y = distort(lens, camera[5:10], x, y)
+    return camera[0] * x + camera[4] * y + camera[2], camera[1] * y + camera[3]
+
+
+@part
+def pixel_jacobian(lens: int, camera: FloatArray, x: float, y: float) -> Four:
+    """Derivative of `to_pixel` by (x, y), row by row."""
+    a, b, c, d = distort_jacobian(lens, camera[5:10], x, y)
+    fx, fy, skew = camera[0], camera[1], camera[4]
+    return fx * a + skew * c, fx * b + skew * d, fy * c, fy * d
+
+
+def packed_cameras(rig: StereoRig) -> tuple[IntArray, FloatArray]:
+    """Codes of the lenses (2,), and both cameras (2, 12): intrinsics (5), distortion (5), size (2).
+
+    Raises `ValueError` for a camera model without compiled code.
+    """
+    lens, packed = np.empty(2, dtype=np.int64), np.zeros((2, 12))
+    for side, camera in enumerate(rig.cameras):
+        lens[side] = LENSES.index(camera.model.name)
+        packed[side, :5] = camera.intrinsics
+        packed[side, 5 : 5 + len(camera.distortion)] = camera.distortion
+        packed[side, 10:] = camera.width, camera.height
+    return lens, packed

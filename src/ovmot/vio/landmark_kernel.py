@@ -1,0 +1,160 @@
+"""The compiled measurement of SLAM features: rows of the newest view, gate, and consistency.
+
+tests/fixtures/plain_msckf.py holds the plain NumPy twins.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
+from ovmot.vio.reprojection_kernel import feature_rows
+from ovmot.vio.update_kernel import asked_velocity_distance, factor_with_rows, nearest_first
+
+_LEAST = 3  # features: fewer than components of the velocity cannot contradict each other
+_POSE = 6  # coordinates of a clone
+
+
+@part
+def _project_out(A: FloatArray, m: int, b: int) -> None:
+    """Clear A's first b columns below the diagonal by Householder reflections of its m rows."""
+    v = np.empty(m)
+    for j in range(b):
+        square = 0.0
+        for i in range(j, m):
+            v[i] = A[i, j]
+            square += v[i] * v[i]
+        v[j] += math.copysign(math.sqrt(square), v[j])
+        square += v[j] * v[j] - A[j, j] * A[j, j]
+        for c in range(j, A.shape[1]):
+            along = 0.0
+            for i in range(j, m):
+                along += v[i] * A[i, c]
+            for i in range(j, m):
+                A[i, c] -= 2.0 * along * v[i] / square if square > 0.0 else 0.0
+
+
+def landmark_rows(
+    p_now: FloatArray,
+    p_first: FloatArray,
+    by_value: FloatArray,
+    by_anchor: FloatArray,
+    anchor: IntArray,
+    pixels: FloatArray,
+    by_calibration: FloatArray,
+    T_now: FloatArray,
+    T_first: FloatArray,
+    T_cam_imu: FloatArray,
+    lens: IntArray,
+    cameras: FloatArray,
+    sigma: float,
+    n_clones: int,
+    size: int,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """H (L, 1 + s, k), residual (L, 1 + s) and degrees of freedom (L,) of the newest clone's view.
+
+    `p_now`, `p_first`, `by_value`, `by_anchor`, `anchor`: see `LandmarkPoints`; `by_value` and
+    `by_anchor` by the first estimates. `pixels` (L, 1, 4), `by_calibration` (L, 1, 4, C); `T_now`,
+    `T_first` (1, 4, 4): T_imu_world of the newest clone; `size` s: coordinates of a landmark, the
+    others are projected out. H is over the calibration, the clones and the landmarks.
+    """
+    n_landmarks, n_calibration = len(pixels), by_calibration.shape[3]
+    n_bearing, first_landmark = 3 - size, n_calibration + _POSE * n_clones
+    k = first_landmark + size * n_landmarks
+    H, residual = np.zeros((n_landmarks, 1 + size, k)), np.zeros((n_landmarks, 1 + size))
+    dof, clone = np.zeros(n_landmarks, np.int64), np.empty(4, np.int64)
+    rows, A = np.empty((4, 10 + n_calibration)), np.empty((4, n_bearing + k + 1))
+    for f in range(n_landmarks):
+        m = feature_rows(
+            p_now[f], p_first[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            lens, cameras, sigma, rows, clone,
+        )  # fmt: skip
+        A[:] = 0.0
+        for i in range(m):
+            for j in range(n_calibration):
+                A[i, n_bearing + j] = rows[i, 10 + j]
+            for j in range(_POSE):
+                A[i, n_bearing + n_calibration + _POSE * (n_clones - 1) + j] = rows[i, 3 + j]
+            for a in range(3):
+                for j in range(3):
+                    at = j if j < n_bearing else k + j - size * (n_landmarks - f)
+                    A[i, at] += rows[i, a] * by_value[f, a, j]
+                if anchor[f] >= 0:
+                    at = n_bearing + n_calibration + _POSE * anchor[f]
+                    for j in range(_POSE):
+                        A[i, at + j] += rows[i, a] * by_anchor[f, a, j]
+            A[i, -1] = rows[i, 9]
+        _project_out(A, m, n_bearing)
+        dof[f] = max(m - n_bearing, 0)
+        for i in range(dof[f]):
+            residual[f, i] = A[n_bearing + i, -1]
+            for j in range(k):
+                H[f, i, j] = A[n_bearing + i, n_bearing + j]
+    return H, residual, dof
+
+
+@reordered_part
+def _distances(P: FloatArray, H: FloatArray, residual: FloatArray, first: int) -> FloatArray:
+    """Squared Mahalanobis distance (L,) of each landmark's innovation: rᵀ (H P Hᵀ + I)⁻¹ r."""
+    n_landmarks, m, n = H.shape
+    HP = np.empty((n_landmarks * m, len(P)))
+    np.dot(H.reshape((n_landmarks * m, n)), P[first : first + n], HP)
+    out, S = np.zeros(n_landmarks), np.empty((m + 1, m))
+    for f in range(n_landmarks):
+        for i in range(m):
+            for j in range(i + 1):
+                total = 1.0 if i == j else 0.0
+                for k in range(n):
+                    total += HP[f * m + i, first + k] * H[f, j, k]
+                S[i, j] = total
+            S[m, i] = residual[f, i]
+        factor_with_rows(S, m, 1)
+        for i in range(m):
+            out[f] += S[m, i] * S[m, i]
+    return out
+
+
+def consistent_landmarks(
+    P: FloatArray,
+    H: FloatArray,
+    residual: FloatArray,
+    first: int,
+    dof: IntArray,
+    bounds: FloatArray,
+    velocity_bound: float,
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Landmarks that passed their gate (L,), and the weighted rows H (m, k), residual (m,) of those
+    that are consistent; none where too few are.
+
+    `H` (L, M, k) and `residual` (L, M): whitened, rows of zeros where nothing was seen, over the
+    coordinates of `P` (N, N) from `first` on; `dof` (L,), `bounds` (L,): degrees of freedom and
+    gate of each squared distance. See `innovation_consistency`.
+    """
+    n_landmarks, m, n = H.shape
+    passed, ratio = np.zeros(n_landmarks, dtype=np.bool_), np.full(n_landmarks, np.inf)
+    distance, order = _distances(P, H, residual, first), np.empty(n_landmarks, dtype=np.int64)
+    for f in range(n_landmarks):
+        if dof[f] > 0 and distance[f] < bounds[f]:
+            passed[f], ratio[f] = True, math.sqrt(distance[f] / dof[f])
+    candidates = nearest_first(ratio, order)
+    kept = candidates
+    while kept >= max(min(_LEAST, candidates), 1):
+        rows, r = np.empty((kept * m, n)), np.empty(kept * m)
+        for k in range(kept):
+            f = order[k]
+            weight = 1.0 / math.sqrt(max(ratio[f], 1.0))
+            for i in range(m):
+                r[k * m + i] = weight * residual[f, i]
+                for j in range(n):
+                    rows[k * m + i, j] = weight * H[f, i, j]
+        if asked_velocity_distance(P, rows, r, first) < velocity_bound:
+            return passed, rows, r
+        kept //= 2
+    return passed, np.empty((0, n)), np.empty(0)
+
+
+_FOLDER = code_folder(Path(__file__))
+landmark_rows_compiled = compiled(landmark_rows, _FOLDER)
+consistent_landmarks_compiled = compiled(consistent_landmarks, _FOLDER, reorder=True)

@@ -1,0 +1,304 @@
+"""The compiled MSCKF measurement: rows of each feature, gate, and one set of compressed rows.
+
+A row of the reprojection error depends on one clone, on the point and on the calibration. So a
+feature's nullspace projection is never carried out: with Q (m, 3) orthonormal, its columns those of
+the Jacobian by the point, and E = Qᵀ H, the projected rows have the information HᵀH - EᵀE, where
+HᵀH has one block a clone; and the projected innovation's distance is that of r less what Q's
+columns explain. Both are the same as by the rows in the left nullspace (A. Mourikis &
+S. Roumeliotis, ICRA 2007), at a fraction of the cost.
+
+tests/vio/plain_msckf.py holds the plain NumPy twin, which does project.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.kernels.cache import code_folder, compiled, reordered_part
+from ovmot.vio.reprojection_kernel import feature_rows
+from ovmot.vio.update_kernel import (
+    asked_velocity_distance,
+    factor_with_rows,
+    nearest_first,
+    transposed,
+)
+
+_POINT, _POSE, _VIEW = 3, 6, 4  # coordinates of a point and a clone; of a stereo view
+_LEAST_PIVOT = 1e-13  # of a diagonal of ones: what is less of it is rounding
+
+
+@reordered_part
+def _reflect(A: FloatArray, n: int, j: int, v: FloatArray, columns: int) -> None:
+    """The Householder reflection v (m,) that clears A's column j below its diagonal; A by it."""
+    square = 0.0
+    for i in range(n):
+        v[i] = A[i, j] if i >= j else 0.0
+        square += v[i] * v[i]
+    v[j] += math.copysign(math.sqrt(square), v[j])
+    square += v[j] * v[j] - A[j, j] * A[j, j]
+    scale = math.sqrt(2.0 / square) if square > 0.0 else 0.0
+    for i in range(n):
+        v[i] *= scale
+    for c in range(j, columns):
+        along = 0.0
+        for i in range(j, n):
+            along += v[i] * A[i, c]
+        for i in range(j, n):
+            A[i, c] -= along * v[i]
+
+
+@reordered_part
+def _point_basis(rows: FloatArray, m: int, Q: FloatArray, R: FloatArray) -> None:
+    """Q (3, m), its rows orthonormal, and triangular R (3, 3) with Qᵀ R the point's Jacobian."""
+    A, v = np.empty((m, _POINT)), np.empty((_POINT, m))
+    for i in range(m):
+        for j in range(_POINT):
+            A[i, j] = rows[i, j]
+    for j in range(_POINT):
+        _reflect(A, m, j, v[j], _POINT)
+    for a in range(_POINT):
+        for j in range(_POINT):
+            R[a, j] = A[a, j] if j >= a else 0.0
+        for i in range(m):
+            Q[a, i] = 1.0 if i == a else 0.0
+        for b in range(_POINT):
+            j = _POINT - 1 - b
+            along = 0.0
+            for i in range(m):
+                along += v[j, i] * Q[a, i]
+            for i in range(m):
+                Q[a, i] -= along * v[j, i]
+
+
+@reordered_part
+def _times_covariance(
+    rows: FloatArray, clone: IntArray, m: int, P: FloatArray, out: FloatArray
+) -> None:
+    """out (m, n) = H P, with P (n, n) that of the calibration and the clones."""
+    n_calibration = rows.shape[1] - 10
+    for i in range(m):
+        at = n_calibration + _POSE * clone[i]
+        a, b, c, d, e, f = rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6], rows[i, 7], rows[i, 8]
+        for j in range(len(P)):
+            out[i, j] = (
+                a * P[at, j] + b * P[at + 1, j] + c * P[at + 2, j]
+                + d * P[at + 3, j] + e * P[at + 4, j] + f * P[at + 5, j]
+            )  # fmt: skip
+        for k in range(n_calibration):
+            h = rows[i, 10 + k]
+            for j in range(len(P)):
+                out[i, j] += h * P[k, j]
+
+
+@reordered_part
+def _projected_distance(
+    rows: FloatArray, clone: IntArray, m: int, Q: FloatArray, P: FloatArray
+) -> float:
+    """Squared Mahalanobis distance of the innovation in the left nullspace of the point's Jacobian.
+
+    With S = H P Hᵀ + I = L Lᵀ, y = L⁻¹ r and Z = L⁻¹ Qᵀ: yᵀy less its part in Z's columns.
+    """
+    n_calibration = rows.shape[1] - 10
+    HP, S = np.empty((m, len(P))), np.empty((m + _POINT + 1, m))
+    _times_covariance(rows, clone, m, P, HP)
+    for i in range(m):
+        for j in range(i + 1):
+            at = n_calibration + _POSE * clone[j]
+            total = 1.0 if i == j else 0.0
+            for k in range(_POSE):
+                total += HP[i, at + k] * rows[j, 3 + k]
+            for k in range(n_calibration):
+                total += HP[i, k] * rows[j, 10 + k]
+            S[i, j] = total
+        for a in range(_POINT):
+            S[m + a, i] = Q[a, i]
+        S[m + _POINT, i] = rows[i, 9]
+    factor_with_rows(S, m, _POINT + 1)
+    return _square_beside(S[m:], m)
+
+
+@reordered_part
+def _square_beside(rows: FloatArray, m: int) -> float:
+    """Squared length of the last of four rows (4, m), beside the span of the first three."""
+    for a in range(_POINT + 1):
+        for b in range(a):
+            along = 0.0
+            for k in range(m):
+                along += rows[b, k] * rows[a, k]
+            for k in range(m):
+                rows[a, k] -= along * rows[b, k]
+        square = 0.0
+        for k in range(m):
+            square += rows[a, k] * rows[a, k]
+        if a < _POINT:
+            scale = 1.0 / math.sqrt(square)
+            for k in range(m):
+                rows[a, k] *= scale
+    return square
+
+
+@reordered_part
+def _rows_in_basis(rows: FloatArray, clone: IntArray, m: int, Q: FloatArray, E: FloatArray) -> None:
+    """E (3, n + 1) = Q [H | r]: the rows that determine the point."""
+    n_calibration = rows.shape[1] - 10
+    for a in range(_POINT):
+        for j in range(E.shape[1]):
+            E[a, j] = 0.0
+        for i in range(m):
+            at = n_calibration + _POSE * clone[i]
+            for k in range(_POSE):
+                E[a, at + k] += Q[a, i] * rows[i, 3 + k]
+            for k in range(n_calibration):
+                E[a, k] += Q[a, i] * rows[i, 10 + k]
+            E[a, -1] += Q[a, i] * rows[i, 9]
+
+
+@reordered_part
+def _add_information(
+    rows: FloatArray, clone: IntArray, m: int, weight: float, G: FloatArray
+) -> None:
+    """Add weight² [H | r]ᵀ [H | r] to the lower triangle of G (n + 1, n + 1)."""
+    n, n_calibration, square = len(G) - 1, rows.shape[1] - 10, weight * weight
+    for i in range(m):
+        at, r = n_calibration + _POSE * clone[i], rows[i, 9]
+        for a in range(_POSE):
+            scaled = square * rows[i, 3 + a]
+            for b in range(a + 1):
+                G[at + a, at + b] += scaled * rows[i, 3 + b]
+            for b in range(n_calibration):
+                G[at + a, b] += scaled * rows[i, 10 + b]
+            G[n, at + a] += scaled * r
+        for a in range(n_calibration):
+            scaled = square * rows[i, 10 + a]
+            for b in range(a + 1):
+                G[a, b] += scaled * rows[i, 10 + b]
+            G[n, a] += scaled * r
+
+
+@reordered_part
+def _compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """H (k, n), of rank k, and residual (k,) with G = [H | r]ᵀ [H | r], but for rᵀr.
+
+    A Cholesky factor with diagonal pivoting of G's lower triangle (n + 1, n + 1), scaled to a
+    diagonal of ones; it ends where what is left is rounding (N. Higham, "Accuracy and Stability of
+    Numerical Algorithms", sec. 10.3).
+    """
+    n = len(G) - 1
+    scale, left, L = np.ones(n + 1), np.zeros(n), np.zeros((n + 1, n))
+    for i in range(n):
+        if G[i, i] > 0.0:
+            scale[i], left[i] = math.sqrt(G[i, i]), 1.0
+    rank = 0
+    while rank < n:
+        p = int(np.argmax(left))
+        if not left[p] > _LEAST_PIVOT:
+            break
+        pivot = math.sqrt(left[p])
+        for i in range(n + 1):
+            if i < n and left[i] <= 0.0:
+                continue
+            total = G[max(i, p), min(i, p)] / (scale[i] * scale[p])
+            for k in range(rank):
+                total -= L[i, k] * L[p, k]
+            L[i, rank] = total / pivot
+            if i < n:
+                left[i] -= L[i, rank] * L[i, rank]
+        L[p, rank], left[p] = pivot, 0.0
+        rank += 1
+    H, residual = np.empty((rank, n)), np.empty(rank)
+    for k in range(rank):
+        residual[k] = L[n, k]
+        for i in range(n):
+            H[k, i] = L[i, k] * scale[i]
+    return H, residual
+
+
+@reordered_part
+def _weighted_information(
+    rows: FloatArray, clone: IntArray, count: IntArray, E: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """[H | r]ᵀ [H | r], the lower triangle (n + 1, n + 1), of the projected rows by weight (F,)."""
+    n = E.shape[2]
+    G, explained, X = np.zeros((n, n)), np.empty((n, n)), np.zeros((_POINT * len(E), n))
+    for f in range(len(E)):
+        if weight[f] > 0.0:
+            _add_information(rows[f], clone[f], count[f], weight[f], G)
+            for a in range(_POINT):
+                for j in range(n):
+                    X[_POINT * f + a, j] = weight[f] * E[f, a, j]
+    np.dot(transposed(X, len(X)), X, explained)
+    for i in range(n):
+        for j in range(i + 1):
+            G[i, j] -= explained[i, j]
+    return G
+
+
+def consistent_features(
+    points: FloatArray,
+    pixels: FloatArray,
+    by_calibration: FloatArray,
+    T_now: FloatArray,
+    T_first: FloatArray,
+    T_cam_imu: FloatArray,
+    lens: IntArray,
+    cameras: FloatArray,
+    sigma: float,
+    P: FloatArray,
+    first: int,
+    bounds: FloatArray,
+    velocity_bound: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """One set of compressed rows by all features that are consistent: weight, H, residual, R, E.
+
+    `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
+    (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_imu_world of the clones, by
+    latest and first estimates; `T_cam_imu` (2, 4, 4); `lens`, `cameras`: see `packed_cameras`; `P`
+    (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
+    gate of a feature's distance by its degrees of freedom.
+
+    `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; `H` (k, n),
+    `residual` (k,): the weighted rows, compressed, of noise 1; `R` (F, 3, 3), `E` (F, 3, n + 1):
+    R δp + E (x, -1) = noise of variance 1, the rows that determine each point.
+    """
+    n_features, n_clones = pixels.shape[:2]
+    n = by_calibration.shape[3] + _POSE * n_clones
+    rows = np.empty((n_features, _VIEW * n_clones, 10 + by_calibration.shape[3]))
+    clone = np.empty((n_features, _VIEW * n_clones), dtype=np.int64)
+    count, order = np.zeros(n_features, np.int64), np.empty(n_features, dtype=np.int64)
+    R, E = np.zeros((n_features, _POINT, _POINT)), np.zeros((n_features, _POINT, n + 1))
+    window, ratio = np.empty((n, n)), np.full(n_features, np.inf)
+    for i in range(n):
+        for j in range(n):
+            window[i, j] = P[first + i, first + j]
+    for f in range(n_features):
+        m = feature_rows(
+            points[f], points[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            lens, cameras, sigma, rows[f], clone[f],
+        )  # fmt: skip
+        count[f], dof = m, m - _POINT
+        if dof > 0:
+            Q = np.empty((_POINT, m))
+            _point_basis(rows[f], m, Q, R[f])
+            _rows_in_basis(rows[f], clone[f], m, Q, E[f])
+            distance = _projected_distance(rows[f], clone[f], m, Q, window)
+            if distance < bounds[dof]:
+                ratio[f] = math.sqrt(distance / dof)
+    candidates = nearest_first(ratio, order)
+    weight, H, residual = np.zeros(n_features), np.empty((n, n)), np.empty(n)
+    kept = candidates
+    while kept >= max(min(_POINT, candidates), 1):
+        weight[:] = 0.0
+        for k in range(kept):
+            weight[order[k]] = 1.0 / math.sqrt(max(ratio[order[k]], 1.0))
+        H, residual = _compressed(_weighted_information(rows, clone, count, E, weight))
+        if asked_velocity_distance(P, H, residual, first) < velocity_bound:
+            return weight, H, residual, R, E
+        kept //= 2
+    weight[:] = 0.0
+    return weight, H, residual, R, E
+
+
+_FOLDER = code_folder(Path(__file__))
+consistent_features_compiled = compiled(consistent_features, _FOLDER, reorder=True)
