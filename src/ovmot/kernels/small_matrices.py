@@ -96,6 +96,7 @@ def invert_definite(A: FloatArray) -> None:
                     A[i, j] -= factor * A[p, j]
 
 
+@part
 def solve_positive(A: FloatArray, x: FloatArray) -> None:
     """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
     n = len(x)
