@@ -14,7 +14,7 @@ from ovmot.frontend.feature_search import (
     recover_lost,
 )
 from ovmot.frontend.patches import PatchStore
-from ovmot.frontend.preprocessing import View, build_pyramid, smoothed
+from ovmot.frontend.preprocessing import View, build_pyramid, patch_image
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
@@ -44,12 +44,12 @@ def points() -> FloatArray:
 
 def view_of(image: Image, settings: TrackerSettings) -> View:
     camera = Camera.make(image.shape[::-1], (300.0, 300.0), (150.0, 100.0))
-    return View(image, build_pyramid(image, settings), smoothed(image), None, camera)
+    return View(image, build_pyramid(image, settings), patch_image(image), None, camera)
 
 
 def sought_in(image: Image, points: FloatArray, settings: TrackerSettings) -> Sought:
     store = PatchStore()
-    slot = store.add(smoothed(image), points)
+    slot = store.add(patch_image(image), points)
     return Sought(build_pyramid(image, settings), points, store, slot)
 
 

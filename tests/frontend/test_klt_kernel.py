@@ -7,7 +7,7 @@ import pytest
 from ovmot.frontend import klt_kernel
 from ovmot.frontend.feature_kernel import LOST, find_features_compiled
 from ovmot.frontend.patches import PatchStore
-from ovmot.frontend.preprocessing import build_pyramid, smoothed
+from ovmot.frontend.preprocessing import build_pyramid, patch_image
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 
@@ -39,10 +39,10 @@ def by_flow_alone(
     """The search for features with patches that are never alike enough."""
     never = 2.0
     store = PatchStore()
-    slot = store.add(smoothed(source), points)
+    slot = store.add(patch_image(source), points)
     uv, _, state = find_features_compiled(
         build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels,
-        smoothed(target), WINDOW, store.grey, store.steepest, store.inverse, slot,
+        patch_image(target), WINDOW, store.grey, store.steepest, store.inverse, slot,
         points, start, store.warp[slot], n_levels, never, never, 8, 0.02,
     )  # fmt: skip
     return uv, state != LOST

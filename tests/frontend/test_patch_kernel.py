@@ -6,7 +6,7 @@ import numpy as np
 from ovmot.frontend.feature_kernel import ALIGNED, find_features_compiled
 from ovmot.frontend.feature_search import MIN_CORRELATION
 from ovmot.frontend.patches import PatchStore
-from ovmot.frontend.preprocessing import build_pyramid, smoothed
+from ovmot.frontend.preprocessing import build_pyramid, patch_image
 from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
 from ovmot.settings import TrackerSettings
 
@@ -52,9 +52,9 @@ def twin(
 
 
 def test_the_compiled_alignment_agrees_with_the_twin() -> None:
-    source = smoothed(painted(1))
+    source = patch_image(painted(1))
     target_image = np.roll(painted(1), (1, 2), axis=(0, 1))
-    target = smoothed(target_image)
+    target = patch_image(target_image)
     points = np.random.default_rng(3).uniform(
         [2.0, 2.0], [157.0, 117.0], (40, 2)
     )  # some at the border
@@ -89,7 +89,7 @@ def sampled(image: AnyArray, uv: FloatArray) -> FloatArray:
 
 
 def test_a_cut_patch_is_that_of_the_twin() -> None:
-    image = smoothed(painted(1))
+    image = patch_image(painted(1))
     points = np.random.default_rng(5).uniform([1.0, 1.0], [158.0, 118.0], (25, 2))
     store = PatchStore()
     slot = store.add(image, points)

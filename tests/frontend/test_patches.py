@@ -7,7 +7,7 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.frontend.feature_search import Found, Sought, find_features
 from ovmot.frontend.patches import PatchStore, is_rescaled
-from ovmot.frontend.preprocessing import View, build_pyramid, smoothed
+from ovmot.frontend.preprocessing import View, build_pyramid, patch_image
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.settings import TrackerSettings
 
@@ -38,10 +38,10 @@ def found(
 ) -> Found:
     """The points of one image in another one; by their patches alone with no level of flow."""
     store = PatchStore()
-    slot = store.add(smoothed(source), points)
+    slot = store.add(patch_image(source), points)
     sought = Sought(build_pyramid(source, SETTINGS), points, store, slot)
     camera = Camera.make((320, 240), (300.0, 300.0), (160.0, 120.0))
-    view = View(target, build_pyramid(target, SETTINGS), smoothed(target), None, camera)
+    view = View(target, build_pyramid(target, SETTINGS), patch_image(target), None, camera)
     return find_features(sought, view, start, n_levels)
 
 
@@ -87,7 +87,7 @@ def test_the_border_of_a_patch_does_not_drag_its_centre() -> None:
 
 
 def test_slots_are_kept_freed_and_given_again() -> None:
-    image, points = smoothed(painted(texture(1))), grid()
+    image, points = patch_image(painted(texture(1))), grid()
     store = PatchStore()
     first = store.add(image, points[:10])
     second = store.add(image, points[10:40])
@@ -101,7 +101,11 @@ def test_slots_are_kept_freed_and_given_again() -> None:
 
 
 def test_a_renewed_patch_is_that_of_a_new_feature() -> None:
-    image, other, points = smoothed(painted(texture(1))), smoothed(painted(texture(5))), grid()
+    image, other, points = (
+        patch_image(painted(texture(1))),
+        patch_image(painted(texture(5))),
+        grid(),
+    )
     renewed, new = PatchStore(), PatchStore()
     slot = renewed.add(image, points)
     renewed.warp[slot] = 2.0 * np.eye(2)

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.frontend.klt_kernel import LANES, flow_there_and_back
-from ovmot.frontend.patch_kernel import PADDED, SIDE, align_patch, cut_patch
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.frontend.patch_kernel import SIDE, Quads, align_patch, cut_patch, make_room
+from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled
 
 LOST, TRACKED, ALIGNED = 0, 1, 2
@@ -22,7 +22,7 @@ _States = npt.NDArray[np.uint8]
 
 
 def find_features(
-    source: tuple[_Float32, ...], target: tuple[_Float32, ...], smooth: _Float32, side: int,
+    source: tuple[_Float32, ...], target: tuple[_Float32, ...], words: Quads, side: int,
     grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray,
     points: FloatArray, start: FloatArray, start_warp: FloatArray, n_levels: int,
     min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
@@ -34,21 +34,20 @@ def find_features(
     aligned again; below `min_correlation` the flow's answer stays, with the warp it started from.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
-    holds `points` (N, 2) and of the one searched; `smooth` (height, width): the latter as patches
-    are cut from. `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of
+    holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of
     feature n that at `slot[n]`. `n_levels` of the pyramids are searched.
     """
     n_points = len(points)
     uv, warp = start.copy(), start_warp.copy()
     state = np.zeros(n_points, dtype=np.uint8)
     room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
-    seen = np.zeros(PADDED, dtype=np.float32)
+    patch_room = make_room()
     for n in range(n_points):
         if not (math.isfinite(start[n, 0]) and math.isfinite(start[n, 1])):
             uv[n] = points[n]
         at = slot[n]
         correlation = align_patch(
-            smooth, grey[at], steepest[at], inverse[at], uv[n], warp[n], seen,
+            words, grey[at], steepest[at], inverse[at], uv[n], warp[n], patch_room,
             max_steps, small_step_px,
         )  # fmt: skip
         if correlation > sure_correlation:
@@ -62,7 +61,7 @@ def find_features(
         if not ok:
             continue
         correlation = align_patch(
-            smooth, grey[at], steepest[at], inverse[at], uv[n], warp[n], seen,
+            words, grey[at], steepest[at], inverse[at], uv[n], warp[n], patch_room,
             max_steps, small_step_px,
         )  # fmt: skip
         state[n] = ALIGNED
@@ -72,19 +71,33 @@ def find_features(
 
 
 def cut_patches(
-    smooth: _Float32, uv: FloatArray, slot: IntArray,
+    words: Quads, uv: FloatArray, slot: IntArray,
     grey: _Float32, steepest: _Float32, inverse: _Float32, damping: float,
 ) -> None:  # fmt: skip
-    """Fill the patches at `slot` (N,) by those around pixels `uv` (N, 2) of a smoothed image.
+    """Fill the patches at `slot` (N,) by those around pixels `uv` (N, 2) of an image.
 
     `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): as `cut_patch` has them.
     """
     wide = np.zeros((SIDE + 2, SIDE + 2), dtype=np.float32)
     for n in range(len(uv)):
         at = slot[n]
-        cut_patch(smooth, uv[n, 0], uv[n, 1], wide, grey[at], steepest[at], inverse[at], damping)
+        cut_patch(words, uv[n, 0], uv[n, 1], wide, grey[at], steepest[at], inverse[at], damping)
+
+
+def pack_quads(image: Image) -> Quads:
+    """The words (height - 1, width - 1) of an image: one load gets all that interpolates a pixel."""
+    height, width = image.shape
+    words = np.empty((height - 1, width - 1), dtype=np.int32)
+    for i in range(height - 1):
+        row, below = image[i], image[i + 1]
+        for j in range(width - 1):
+            upper = np.int32(row[j]) | np.int32(row[j + 1]) << 8
+            lower = np.int32(below[j]) | np.int32(below[j + 1]) << 8
+            words[i, j] = np.int32(upper | lower << 16)
+    return words
 
 
 _folder = code_folder(Path(__file__))
 find_features_compiled = compiled(find_features, _folder)
+pack_quads_compiled = compiled(pack_quads, _folder)
 cut_patches_compiled = compiled(cut_patches, _folder)

@@ -128,8 +128,8 @@ def _find(
     row: IntArray,
     n_levels: int,
     *,
-    max_steps: int = 15,
-    small_step_px: float = 0.003,
+    max_steps: int = 12,
+    small_step_px: float = 0.005,
 ) -> Found:
     """Features `row` (M,) from `start` (M, 2).
 
@@ -139,7 +139,7 @@ def _find(
     """
     store, slot = sought.store, sought.slot[row]
     uv, warp, state = find_features_compiled(
-        sought.pyramid.levels, view.pyramid.levels, view.smooth, view.pyramid.window,
+        sought.pyramid.levels, view.pyramid.levels, view.words, view.pyramid.window,
         store.grey, store.steepest, store.inverse, slot,
         sought.uv[row], start, store.warp[slot], min(n_levels, len(view.pyramid.levels)),
         MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,

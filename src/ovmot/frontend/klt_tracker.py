@@ -125,7 +125,7 @@ class KltTracker:
         # patches that do not fit any more, or are seen at another scale, are cut anew
         self.patches.warp[slot] = now.warp[rows]
         stale = ~now.fits[rows] | is_rescaled(now.warp[rows])
-        self.patches.renew(view.smooth, uv[stale], slot[stale])
+        self.patches.renew(view.words, uv[stale], slot[stale])
         # two-view test
         threshold = self._settings.two_view_threshold_px / camera.fx
         inlier = two_view_inliers(last.xy[rows], xy, threshold)
@@ -174,7 +174,7 @@ class KltTracker:
             depth=np.concatenate([tracked.depth, np.full(n, np.nan)]),
             extra_flow=np.concatenate([tracked.extra_flow, np.zeros((n, 2))]),
             inlier=np.concatenate([tracked.inlier, np.ones(n, dtype=np.bool_)]),
-            slot=np.concatenate([tracked.slot, self.patches.add(view.smooth, uv)]),
+            slot=np.concatenate([tracked.slot, self.patches.add(view.words, uv)]),
         )
 
 

@@ -6,6 +6,7 @@ the patch has no weight. `tests/frontend/test_patch_kernel.py` holds the plain N
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,8 @@ from ovmot.kernels.cache import part, reordered_part
 from ovmot.kernels.small_matrices import invert_definite
 
 _Float32 = npt.NDArray[np.float32]
+Quads = npt.NDArray[np.int32]
+"""Words of four grey levels: those of a pixel, of its right, lower and lower right neighbours."""
 
 RADIUS = 6
 """Pixels from the centre of a patch to its border: it is 13 wide, 2 more than a window of flow."""
@@ -27,6 +30,8 @@ SIGMA_PX = RADIUS / 2
 patch that moves by more than this from where it was expected has found another one."""
 LEAST_NORM = 1e-3
 """Grey levels: a patch without any contrast is divided by this."""
+MARGIN = 3 * RADIUS
+"""Pixels around an image that repeat its border: a patch may reach beyond it."""
 _SHIFT = 64
 """Added to pixels relative to the patch's centre: what is cut off to a whole number is positive."""
 
@@ -38,120 +43,127 @@ def _padded(values: FloatArray) -> _Float32:
 _row, _column = np.mgrid[-RADIUS : RADIUS + 1, -RADIUS : RADIUS + 1].astype(np.float64)
 OFFSET_U, OFFSET_V = _padded(_column), _padded(_row)
 ROOT_WEIGHT = _padded(np.exp(-0.25 * (_column**2 + _row**2) / SIGMA_PX**2))
-"""Square root of a Gaussian weight: what lies off the centre counts less, since at an outline it
-belongs to another body."""
-WEIGHT = ROOT_WEIGHT**2 / (ROOT_WEIGHT**2).sum()
+ROOT_WEIGHT /= np.linalg.norm(ROOT_WEIGHT)
+"""Square root of a Gaussian weight of sum one: what lies off the centre counts less, since at an
+outline it belongs to another body."""
+
+
+class Room(NamedTuple):
+    """Memory for one alignment, (PADDED,) each: `quad` words of four grey levels, `index` of them in
+    the image, fractions `a`, `b` of a pixel beyond them; `sums` (9,), `step` (6,)."""
+
+    quad: Quads
+    index: Quads
+    a: _Float32
+    b: _Float32
+    sums: FloatArray
+    step: FloatArray
+
+
+@part
+def make_room() -> Room:
+    """Room for alignments, one after the other."""
+    return Room(
+        np.zeros(PADDED, np.int32), np.zeros(PADDED, np.int32),
+        np.zeros(PADDED, np.float32), np.zeros(PADDED, np.float32), np.zeros(9), np.zeros(6),
+    )  # fmt: skip
 
 
 @reordered_part
-def _sample(image: _Float32, u: float, v: float, warp: FloatArray, seen: _Float32) -> None:
-    """Grey levels `seen` (PADDED,) at (u, v) + warp x of all offsets x, all in the image.
-
-    The columns and rows are taken relative to the centre's, so that single precision is enough.
+def _locate(u: float, v: float, warp: FloatArray, stride: int, room: Room) -> None:
+    """Fill `index`, `a` and `b` of the room for the pixels at (u, v) + warp x of all offsets x,
+    with (u, v) relative to a corner that leaves all of them positive: single precision is enough.
     """
-    pixels, stride = image.ravel(), image.shape[1]
-    left, top = math.floor(u), math.floor(v)
-    corner = (top - _SHIFT) * stride + left - _SHIFT
-    u0, v0 = np.float32(u - left + _SHIFT), np.float32(v - top + _SHIFT)
+    u0, v0, row_length = np.float32(u), np.float32(v), np.int32(stride)
     w00, w01 = np.float32(warp[0, 0]), np.float32(warp[0, 1])
     w10, w11 = np.float32(warp[1, 0]), np.float32(warp[1, 1])
-    right, below, diagonal = np.uint64(1), np.uint64(stride), np.uint64(stride + 1)
+    index, a, b = room.index, room.a, room.b
     for m in range(PADDED):
         x = u0 + w00 * OFFSET_U[m] + w01 * OFFSET_V[m]
         y = v0 + w10 * OFFSET_U[m] + w11 * OFFSET_V[m]
         column, row = np.int32(x), np.int32(y)
-        a, b = x - np.float32(column), y - np.float32(row)
-        k = np.uint64(corner + row * stride + column)
-        upper = pixels[k] + a * (pixels[k + right] - pixels[k])
-        lower = pixels[k + below] + a * (pixels[k + diagonal] - pixels[k + below])
-        seen[m] = upper + b * (lower - upper)
+        a[m], b[m] = x - np.float32(column), y - np.float32(row)
+        index[m] = np.int32(row * row_length + column)
 
 
 @part
-def _grey_at(image: _Float32, u: float, v: float) -> float:
-    """Bilinear grey level, the image continued outwards by its border pixels."""
-    height, width = image.shape
-    u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
-    left, top = min(int(u), width - 2), min(int(v), height - 2)
-    a, b = u - left, v - top
-    upper = (1.0 - a) * image[top, left] + a * image[top, left + 1]
-    lower = (1.0 - a) * image[top + 1, left] + a * image[top + 1, left + 1]
-    return float((1.0 - b) * upper + b * lower)
-
-
-@part
-def _sample_at_border(
-    image: _Float32, u: float, v: float, warp: FloatArray, seen: _Float32
-) -> None:
-    """The same where the patch reaches beyond the image."""
-    for m in range(PIXELS):
-        x = u + warp[0, 0] * OFFSET_U[m] + warp[0, 1] * OFFSET_V[m]
-        y = v + warp[1, 0] * OFFSET_U[m] + warp[1, 1] * OFFSET_V[m]
-        seen[m] = _grey_at(image, x, y)
-    seen[PIXELS:] = 0.0
-
-
-@part
-def _in_image(image: _Float32, u: float, v: float, warp: FloatArray) -> bool:
-    """Does the whole warped patch lie in the image, and is it no larger than `_sample` can take?"""
-    reach_u = (abs(warp[0, 0]) + abs(warp[0, 1])) * RADIUS + 1.0
-    reach_v = (abs(warp[1, 0]) + abs(warp[1, 1])) * RADIUS + 1.0
-    height, width = image.shape
-    across: bool = reach_u < _SHIFT and reach_u <= u < width - 1 - reach_u
-    return across and reach_v < _SHIFT and reach_v <= v < height - 1 - reach_v
+def _load(words: Quads, corner: int, room: Room) -> None:
+    """Fill `quad` of the room by the words at `index`, counted from `corner`."""
+    for m in range(PADDED):
+        room.quad[m] = words[np.uint64(corner + room.index[m])]
 
 
 @reordered_part
-def _make_unit(seen: _Float32) -> float:
-    """Take off the weighted mean, weight, and divide by the norm, in place; that norm."""
-    mean, square = np.float32(0.0), np.float32(0.0)
-    for m in range(PADDED):
-        mean += WEIGHT[m] * seen[m]
-    for m in range(PADDED):
-        seen[m] = ROOT_WEIGHT[m] * (seen[m] - mean)
-        square += seen[m] * seen[m]
-    norm = max(np.sqrt(square), np.float32(LEAST_NORM))
-    scale = np.float32(1.0) / norm
-    for m in range(PADDED):
-        seen[m] *= scale
-    return float(norm)
-
-
-@reordered_part
-def _subtract(seen: _Float32, grey: _Float32) -> float:
-    """Take `grey` off `seen` (PADDED,), in place; the squared norm of what is left."""
-    square = np.float32(0.0)
-    for m in range(PADDED):
-        seen[m] -= grey[m]
-        square += seen[m] * seen[m]
-    return float(square)
-
-
-@reordered_part
-def _gradient(error: _Float32, steepest: _Float32, out: FloatArray) -> None:
-    """out (6,) = steepest (6, PADDED) error (PADDED,)."""
+def _sum_up(room: Room, centre: float, grey: _Float32, steepest: _Float32) -> None:
+    """Fill `sums` of the room: of weighted grey levels with the patch's derivatives (6), with the
+    weight, with themselves and with the patch; less `centre`, which keeps them small."""
     s0, s1, s2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     s3, s4, s5 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    mean, square, product, middle = (
+        np.float32(0.0),
+        np.float32(0.0),
+        np.float32(0.0),
+        np.float32(centre),
+    )
+    quad, a, b = room.quad, room.a, room.b
     for m in range(PADDED):
-        s0 += error[m] * steepest[0, m]
-        s1 += error[m] * steepest[1, m]
-        s2 += error[m] * steepest[2, m]
-        s3 += error[m] * steepest[3, m]
-        s4 += error[m] * steepest[4, m]
-        s5 += error[m] * steepest[5, m]
-    out[0], out[1], out[2], out[3], out[4], out[5] = s0, s1, s2, s3, s4, s5
+        word = quad[m]
+        here, right = np.float32(np.int32(word & 255)), np.float32(np.int32((word >> 8) & 255))
+        below = np.float32(np.int32((word >> 16) & 255))
+        diagonal = np.float32(np.int32((word >> 24) & 255))
+        upper, lower = here + a[m] * (right - here), below + a[m] * (diagonal - below)
+        seen = ROOT_WEIGHT[m] * (upper + b[m] * (lower - upper) - middle)
+        mean += ROOT_WEIGHT[m] * seen
+        square += seen * seen
+        product += seen * grey[m]
+        s0 += seen * steepest[0, m]
+        s1 += seen * steepest[1, m]
+        s2 += seen * steepest[2, m]
+        s3 += seen * steepest[3, m]
+        s4 += seen * steepest[4, m]
+        s5 += seen * steepest[5, m]
+    sums = room.sums
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = s0, s1, s2, s3, s4, s5
+    sums[6], sums[7], sums[8] = mean, square, product
 
 
 @part
-def _multiply(matrix: _Float32, vector: FloatArray, out: FloatArray) -> float:
-    """Fill out (6,) = matrix (6, 6) vector (6,); its largest absolute number."""
-    largest = 0.0
+def _compare(
+    words: Quads, u: float, v: float, warp: FloatArray,
+    grey: _Float32, steepest: _Float32, room: Room,
+) -> float:  # fmt: skip
+    """Correlation of a patch with the image at (u, v) under the warp; the gradient in `sums[:6]`.
+
+    -1 where the patch reaches beyond the image's margin. Patch and derivatives are orthogonal to
+    the root weight, and these to the patch: the mean of what is seen falls out of the sums.
+    """
+    height, width = words.shape
+    u, v = u + MARGIN, v + MARGIN
+    reach_u = (abs(warp[0, 0]) + abs(warp[0, 1])) * RADIUS + 1.0
+    reach_v = (abs(warp[1, 0]) + abs(warp[1, 1])) * RADIUS + 1.0
+    if not (reach_u < _SHIFT and reach_u <= u < width - 1 - reach_u):
+        return -1.0
+    if not (reach_v < _SHIFT and reach_v <= v < height - 1 - reach_v):
+        return -1.0
+    left, top = math.floor(u), math.floor(v)
+    centre = words[top, left] & 255
+    _locate(u - left + _SHIFT, v - top + _SHIFT, warp, width, room)
+    _load(words.ravel(), (top - _SHIFT) * width + left - _SHIFT, room)
+    _sum_up(room, centre, grey, steepest)
+    sums = room.sums
+    norm = max(math.sqrt(max(sums[7] - sums[6] * sums[6], 0.0)), LEAST_NORM)
+    for k in range(6):
+        sums[k] /= norm
+    return float(sums[8] / norm)
+
+
+@part
+def _multiply(matrix: _Float32, vector: FloatArray, out: FloatArray) -> None:
+    """Fill out (6,) = matrix (6, 6) vector (6,)."""
     for j in range(6):
         out[j] = 0.0
         for k in range(6):
             out[j] += matrix[j, k] * vector[k]
-        largest = max(largest, abs(out[j]))
-    return largest
 
 
 @part
@@ -175,54 +187,66 @@ def _compose(uv: FloatArray, warp: FloatArray, step: FloatArray) -> bool:
 
 @part
 def align_patch(
-    image: _Float32, grey: _Float32, steepest: _Float32, inverse: _Float32,
-    uv: FloatArray, warp: FloatArray, room: _Float32, most_steps: int, small_step: float,
+    words: Quads, grey: _Float32, steepest: _Float32, inverse: _Float32,
+    uv: FloatArray, warp: FloatArray, room: Room, most_steps: int, small_step: float,
 ) -> float:  # fmt: skip
     """Move `uv` (2,) and `warp` (2, 2), in place, to where a patch fits; the correlation there.
 
-    `grey` (PADDED,), `steepest` (6, PADDED), `inverse` (6, 6) of the patch as `cut_patch` makes
-    them, `room` (PADDED,) to work in. It stops after `most_steps`, by a step below `small_step`, or
-    `SIGMA_PX` from its start: the correlation is then 0, as it is where the warp is singular.
+    `words`: the image, see `feature_kernel.pack_quads`. `grey` (PADDED,), `steepest` (6, PADDED),
+    `inverse` (6, 6) of the patch as `cut_patch` makes them. It stops after `most_steps`, by a shift
+    below `small_step`, or `SIGMA_PX` from its start: the correlation is then 0, as it is where the
+    warp is singular or leads out of the image.
     """
     start_u, start_v = uv[0], uv[1]
-    gradient, step = np.empty(6), np.empty(6)
-    correlation = 0.0
+    correlation, step = 0.0, room.step
     for _ in range(most_steps):
-        if _in_image(image, uv[0], uv[1], warp):
-            _sample(image, uv[0], uv[1], warp, room)
-        else:
-            _sample_at_border(image, uv[0], uv[1], warp, room)
-        _make_unit(room)
-        correlation = 1.0 - 0.5 * _subtract(room, grey)
-        _gradient(room, steepest, gradient)
-        largest = _multiply(inverse, gradient, step)
+        correlation = _compare(words, uv[0], uv[1], warp, grey, steepest, room)
+        if correlation < 0.0:
+            return 0.0
+        _multiply(inverse, room.sums, step)
         if not _compose(uv, warp, step):
             return 0.0
         if not math.hypot(uv[0] - start_u, uv[1] - start_v) < SIGMA_PX:
             return 0.0
-        if largest <= small_step:
+        if max(abs(step[0]), abs(step[1])) <= small_step:
             break
     return correlation
 
 
 @part
-def _cut_wide(image: _Float32, u: float, v: float, wide: _Float32) -> None:
-    """Grey levels wide (SIDE + 2, SIDE + 2) around (u, v)."""
-    reach, size = RADIUS + 1, SIDE + 2
-    left, top = math.floor(u) - reach, math.floor(v) - reach
-    height, width = image.shape
-    if left >= 0 and top >= 0 and left + size < width and top + size < height:
-        a, b = np.float32(u - math.floor(u)), np.float32(v - math.floor(v))
-        for i in range(size):
-            row, below = image[top + i, left:], image[top + i + 1, left:]
-            for j in range(size):
-                upper = row[j] + a * (row[j + 1] - row[j])
-                lower = below[j] + a * (below[j + 1] - below[j])
-                wide[i, j] = upper + b * (lower - upper)
-    else:
-        for i in range(size):
-            for j in range(size):
-                wide[i, j] = _grey_at(image, u - reach + j, v - reach + i)
+def _cut_wide(words: Quads, u: float, v: float, wide: _Float32) -> None:
+    """Grey levels wide (SIDE + 2, SIDE + 2) around (u, v); of the border beyond the margin."""
+    size = SIDE + 2
+    height, width = words.shape
+    u = min(max(u + MARGIN, RADIUS + 1.0), width - RADIUS - 3.0)
+    v = min(max(v + MARGIN, RADIUS + 1.0), height - RADIUS - 3.0)
+    left, top = math.floor(u), math.floor(v)
+    a, b = np.float32(u - left), np.float32(v - top)
+    for i in range(size):
+        row = words[top - RADIUS - 1 + i, left - RADIUS - 1 :]
+        for j in range(size):
+            word = row[j]
+            here, right = np.float32(np.int32(word & 255)), np.float32(np.int32((word >> 8) & 255))
+            below = np.float32(np.int32((word >> 16) & 255))
+            diagonal = np.float32(np.int32((word >> 24) & 255))
+            upper, lower = here + a * (right - here), below + a * (diagonal - below)
+            wide[i, j] = upper + b * (lower - upper)
+
+
+@reordered_part
+def _make_unit(seen: _Float32) -> float:
+    """Take off the weighted mean, weight, and divide by the norm, in place; that norm."""
+    mean, square = np.float32(0.0), np.float32(0.0)
+    for m in range(PADDED):
+        mean += ROOT_WEIGHT[m] * ROOT_WEIGHT[m] * seen[m]
+    for m in range(PADDED):
+        seen[m] = ROOT_WEIGHT[m] * (seen[m] - mean)
+        square += seen[m] * seen[m]
+    norm = max(np.sqrt(square), np.float32(LEAST_NORM))
+    scale = np.float32(1.0) / norm
+    for m in range(PADDED):
+        seen[m] *= scale
+    return float(norm)
 
 
 @part
@@ -248,7 +272,7 @@ def _without_gain(row: _Float32, grey: _Float32, norm: float) -> None:
     """A derivative (PADDED,) of the unit patch, in place: without what a gain or an offset does."""
     scale, mean, along = np.float32(1.0 / norm), np.float32(0.0), np.float32(0.0)
     for m in range(PADDED):
-        mean += WEIGHT[m] * row[m]
+        mean += ROOT_WEIGHT[m] * ROOT_WEIGHT[m] * row[m]
     for m in range(PADDED):
         row[m] = scale * ROOT_WEIGHT[m] * (row[m] - mean)
         along += row[m] * grey[m]
@@ -266,7 +290,7 @@ def _dot(a: _Float32, b: _Float32) -> float:
 
 @part
 def cut_patch(
-    image: _Float32, u: float, v: float, wide: _Float32,
+    words: Quads, u: float, v: float, wide: _Float32,
     grey: _Float32, steepest: _Float32, inverse: _Float32, damping: float,
 ) -> None:  # fmt: skip
     """Fill `grey` (PADDED,), `steepest` (6, PADDED), `inverse` (6, 6) with the patch at (u, v).
@@ -274,7 +298,7 @@ def cut_patch(
     `wide` (SIDE + 2, SIDE + 2) to work in. `damping`, a share of the mean curvature, keeps texture
     along one direction from running away along the other.
     """
-    _cut_wide(image, u, v, wide)
+    _cut_wide(words, u, v, wide)
     _differentiate(wide, grey, steepest)
     norm = _make_unit(grey)
     for k in range(6):

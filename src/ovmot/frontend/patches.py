@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.frontend.feature_kernel import cut_patches_compiled
-from ovmot.frontend.patch_kernel import PADDED
+from ovmot.frontend.patch_kernel import PADDED, Quads
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _Float32 = npt.NDArray[np.float32]
@@ -34,26 +34,24 @@ class PatchStore:
         self.is_new: BoolArray = np.empty(0, dtype=np.bool_)
         self._in_use: BoolArray = np.empty(0, dtype=np.bool_)
 
-    def add(self, image: _Float32, uv: FloatArray) -> IntArray:
-        """Slots (N,) of new patches around pixels `uv` (N, 2) of a smoothed image."""
+    def add(self, words: Quads, uv: FloatArray) -> IntArray:
+        """Slots (N,) of new patches around pixels `uv` (N, 2) of an image in words."""
         free = np.flatnonzero(~self._in_use)
         if len(free) < len(uv):
             self._grow(len(self._in_use) + len(uv))
             free = np.flatnonzero(~self._in_use)
         slot: IntArray = free[: len(uv)]
         self._in_use[slot] = True
-        self.renew(image, uv, slot)
+        self.renew(words, uv, slot)
         return slot
 
-    def renew(
-        self, image: _Float32, uv: FloatArray, slot: IntArray, *, damping: float = 1e-3
-    ) -> None:
-        """Cut the patches at `slot` (N,) anew around pixels `uv` (N, 2) of a smoothed image.
+    def renew(self, words: Quads, uv: FloatArray, slot: IntArray, *, damping: float = 1e-3) -> None:
+        """Cut the patches at `slot` (N,) anew around pixels `uv` (N, 2) of an image in words.
 
         `damping`, a share of the mean curvature, keeps texture along one direction from running
         away along the other.
         """
-        cut_patches_compiled(image, uv, slot, self.grey, self.steepest, self.inverse, damping)
+        cut_patches_compiled(words, uv, slot, self.grey, self.steepest, self.inverse, damping)
         self.warp[slot] = np.eye(2)
         self.is_new[slot] = True
 

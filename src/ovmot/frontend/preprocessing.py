@@ -11,7 +11,9 @@ import numpy.typing as npt
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
+from ovmot.frontend.feature_kernel import pack_quads_compiled
 from ovmot.frontend.klt_kernel import BACK_LEVELS, margin_of
+from ovmot.frontend.patch_kernel import MARGIN, Quads
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
@@ -33,13 +35,13 @@ class Pyramid:
 class View:
     """One camera's image (height, width) with corrected contrast, and what is derived from it.
 
-    `pyramid` is for optical flow, `smooth` (height, width) for the alignment of patches; `mask`
+    `pyramid` is for optical flow, `words` for patches, see `patch_image`; `mask`
     (height, width) is not zero where nothing is taken from; `camera`: the calibration of now.
     """
 
     image: Image
     pyramid: Pyramid
-    smooth: npt.NDArray[np.float32]
+    words: Quads
     mask: Image | None
     camera: Camera
 
@@ -61,7 +63,7 @@ def preprocess(
 
     def view_of(image: Image, mask: Image | None, camera: Camera) -> View:
         even = EQUALIZERS[settings.equalization](image)
-        return View(even, build_pyramid(even, settings), smoothed(even), mask, camera)
+        return View(even, build_pyramid(even, settings), patch_image(even), mask, camera)
 
     right = workers.submit(view_of, frame.right, frame.right_mask, rig.cam1)
     return view_of(frame.left, frame.left_mask, rig.cam0), right.result()
@@ -84,12 +86,17 @@ def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:
     return Pyramid(tuple(levels), window)
 
 
-def smoothed(image: Image, *, sigma_px: float = 0.8) -> npt.NDArray[np.float32]:
-    """The image (height, width) as patches are cut from it and aligned with it.
+def patch_image(image: Image, *, sigma_px: float = 0.8) -> Quads:
+    """The image as patches are cut from it and aligned with it: smoothed, continued by `MARGIN`
+    pixels of its border, in words of four (`feature_kernel.pack_quads`).
 
-    Bilinear sampling between pixels then costs little sharpness.
+    Bilinear sampling between smoothed pixels costs little sharpness.
     """
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), sigma_px), dtype=np.float32)
+    smooth = cv2.GaussianBlur(image, (5, 5), sigma_px)
+    edges = (MARGIN, MARGIN + 1, MARGIN, MARGIN + 1)  # a word holds the next row and column
+    padded = cv2.copyMakeBorder(smooth, *edges, cv2.BORDER_REPLICATE)
+    words: Quads = pack_quads_compiled(padded)
+    return words
 
 
 def inside_mask(uv: FloatArray, mask: Image | None) -> BoolArray:
