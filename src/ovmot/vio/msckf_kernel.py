@@ -7,7 +7,7 @@ HᵀH has one block a clone; and the projected innovation's distance is that of 
 columns explain. Both are the same as by the rows in the left nullspace (A. Mourikis &
 S. Roumeliotis, ICRA 2007), at a fraction of the cost.
 
-tests/vio/plain_msckf.py holds the plain NumPy twin, which does project.
+tests/fixtures/plain_msckf.py holds the plain NumPy twin, which does project.
 """
 
 import math
@@ -19,10 +19,11 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, reordered_part
 from ovmot.vio.reprojection_kernel import feature_rows
 from ovmot.vio.update_kernel import (
-    asked_velocity_distance,
     factor_with_rows,
+    innovation,
     nearest_first,
     transposed,
+    update_if_consistent,
 )
 
 _POINT, _POSE, _VIEW = 3, 6, 4  # coordinates of a point and a clone; of a stereo view
@@ -178,7 +179,7 @@ def _add_information(
 
 
 @reordered_part
-def _compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
+def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
     """H (k, n), of rank k, and residual (k,) with G = [H | r]ᵀ [H | r], but for rᵀr.
 
     A Cholesky factor with diagonal pivoting of G's lower triangle (n + 1, n + 1), scaled to a
@@ -235,7 +236,7 @@ def _weighted_information(
     return G
 
 
-def consistent_features(
+def update_by_features(
     points: FloatArray,
     pixels: FloatArray,
     by_calibration: FloatArray,
@@ -250,7 +251,7 @@ def consistent_features(
     bounds: FloatArray,
     velocity_bound: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """One set of compressed rows by all features that are consistent: weight, H, residual, R, E.
+    """One update by all features that are consistent: weight, error, covariance, R, E.
 
     `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
     (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_imu_world of the clones, by
@@ -258,8 +259,8 @@ def consistent_features(
     (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
     gate of a feature's distance by its degrees of freedom.
 
-    `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; `H` (k, n),
-    `residual` (k,): the weighted rows, compressed, of noise 1; `R` (F, 3, 3), `E` (F, 3, n + 1):
+    `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; the error
+    vector (N,) and the covariance (N, N) after the update; `R` (F, 3, 3), `E` (F, 3, n + 1):
     R δp + E (x, -1) = noise of variance 1, the rows that determine each point.
     """
     n_features, n_clones = pixels.shape[:2]
@@ -286,19 +287,21 @@ def consistent_features(
             if distance < bounds[dof]:
                 ratio[f] = math.sqrt(distance / dof)
     candidates = nearest_first(ratio, order)
-    weight, H, residual = np.zeros(n_features), np.empty((n, n)), np.empty(n)
+    weight, error, updated = np.zeros(n_features), np.zeros(len(P)), np.empty(P.shape)
     kept = candidates
     while kept >= max(min(_POINT, candidates), 1):
         weight[:] = 0.0
         for k in range(kept):
             weight[order[k]] = 1.0 / math.sqrt(max(ratio[order[k]], 1.0))
-        H, residual = _compressed(_weighted_information(rows, clone, count, E, weight))
-        if asked_velocity_distance(P, H, residual, first) < velocity_bound:
-            return weight, H, residual, R, E
+        H, residual = compressed(_weighted_information(rows, clone, count, E, weight))
+        HP, S = np.empty((len(H), len(P))), np.empty((len(H) + _POINT + 1, len(H)))
+        innovation(P, H, first, HP, S)
+        if update_if_consistent(P, HP, S, residual, velocity_bound, error, updated):
+            return weight, error, updated, R, E
         kept //= 2
     weight[:] = 0.0
-    return weight, H, residual, R, E
+    return weight, error, P, R, E
 
 
 _FOLDER = code_folder(Path(__file__))
-consistent_features_compiled = compiled(consistent_features, _FOLDER, reorder=True)
+update_by_features_compiled = compiled(update_by_features, _FOLDER, reorder=True)

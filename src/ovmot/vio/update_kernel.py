@@ -1,15 +1,15 @@
 """The compiled algebra of an update: factors, the consistency of many rows, the Kalman update.
 
-All matrices are contiguous (C order). tests/vio/test_update_kernel.py holds the plain twins.
+Called by kernels only. All matrices are contiguous (C order). The plain NumPy twins are in
+`vio.update` and tests/fixtures/plain_msckf.py.
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
+from ovmot.kernels.cache import part, reordered_part
 
 _VELOCITY, _VELOCITY_DOF = 6, 3  # where the velocity is in the error state
 
@@ -106,31 +106,11 @@ def transposed(A: FloatArray, n: int) -> FloatArray:
 
 
 @reordered_part
-def asked_velocity_distance(
-    P: FloatArray, H: FloatArray, residual: FloatArray, first: int
-) -> float:
-    """The `velocity_distance` of residual (m,) = H δ[first:first + k] + n, n ~ N(0, I).
-
-    `H` (m, k); `P` (N, N).
-    """
-    m, n = H.shape
-    HP = np.empty((m, len(P)))
-    np.dot(H, P[first : first + n], HP)
-    S = np.empty((m + _VELOCITY_DOF + 1, m))
-    _innovation_covariance(HP, H, first, S)
-    for i in range(m):
-        for a in range(_VELOCITY_DOF):
-            S[m + a, i] = HP[i, _VELOCITY + a]
-        S[m + _VELOCITY_DOF, i] = residual[i]
-    factor_with_rows(S, m, _VELOCITY_DOF + 1)
-    return velocity_distance(S[m:], m)
-
-
-@reordered_part
-def _innovation_covariance(HP: FloatArray, H: FloatArray, first: int, S: FloatArray) -> None:
-    """S's first m rows become H P Hᵀ + I, from H (m, k) and H P (m, N)."""
+def innovation(P: FloatArray, H: FloatArray, first: int, HP: FloatArray, S: FloatArray) -> None:
+    """HP (m, N) = H P, and S's first m rows = H P Hᵀ + I, for H (m, k) over P[first:first + k]."""
     m, n = H.shape
     block, out = np.empty((m, n)), np.empty((m, m))
+    np.dot(H, P[first : first + n], HP)
     for i in range(m):
         for j in range(n):
             block[i, j] = HP[i, first + j]
@@ -141,36 +121,42 @@ def _innovation_covariance(HP: FloatArray, H: FloatArray, first: int, S: FloatAr
         S[i, i] += 1.0
 
 
-def kalman_update(
-    P: FloatArray, H: FloatArray, residual: FloatArray, first: int
-) -> tuple[FloatArray, FloatArray]:
-    """The error vector (N,) and the new covariance (N, N) by residual = H δ[first:first + k] + n.
+@reordered_part
+def update_if_consistent(
+    P: FloatArray,
+    HP: FloatArray,
+    S: FloatArray,
+    residual: FloatArray,
+    velocity_bound: float,
+    error: FloatArray,
+    updated: FloatArray,
+) -> bool:
+    """Update by m rows of noise 1, unless the velocity that they ask for is beyond the bound.
 
-    n ~ N(0, I); `H` (m, k), `residual` (m,), `P` (N, N). As `update.ekf_update`, but the innovation
-    covariance is formed: S = H P Hᵀ + I = L Lᵀ; W = L⁻¹ H P; the covariance becomes P - Wᵀ W.
+    `HP` (m, N), `S` (m + 4, m): see `innovation`; S is changed in place. The error vector (N,) and
+    the new covariance (N, N) are filled in; False, and they are not, beyond `velocity_bound`. As
+    `update.ekf_update`: S = L Lᵀ, W = L⁻¹ H P, the covariance becomes P - Wᵀ W.
     """
-    m, n, size = len(H), H.shape[1], len(P)
-    HP, S, inverse = np.empty((m, size)), np.empty((m, m)), np.empty((m, m))
-    np.dot(H, P[first : first + n], HP)
-    _innovation_covariance(HP, H, first, S)
-    factor_with_rows(S, m, 0)
-    inverse_factor(S, m, inverse)
-    W, change = np.empty((m, size)), np.empty((size, size))
-    np.dot(inverse, HP, W)
-    np.dot(transposed(W, m), W, change)
-    error = np.zeros(size)
+    m, n = HP.shape
     for i in range(m):
-        y = 0.0
-        for k in range(i + 1):
-            y += inverse[i, k] * residual[k]
-        for j in range(size):
-            error[j] += W[i, j] * y
-    for i in range(size):
+        for a in range(_VELOCITY_DOF):
+            S[m + a, i] = HP[i, _VELOCITY + a]
+        S[m + _VELOCITY_DOF, i] = residual[i]
+    factor_with_rows(S, m, _VELOCITY_DOF + 1)
+    y = S[m + _VELOCITY_DOF].copy()
+    if not velocity_distance(S[m:], m) < velocity_bound:
+        return False
+    inverse, W = np.empty((m, m)), np.empty((m, n))
+    inverse_factor(S, m, inverse)
+    np.dot(inverse, HP, W)
+    np.dot(transposed(W, m), W, updated)
+    for j in range(n):
+        error[j] = 0.0
+    for i in range(m):
+        for j in range(n):
+            error[j] += W[i, j] * y[i]
+    for i in range(n):
         for j in range(i + 1):
-            value = 0.5 * (P[i, j] - change[i, j] + P[j, i] - change[j, i])
-            change[i, j], change[j, i] = value, value
-    return error, change
-
-
-_FOLDER = code_folder(Path(__file__))
-kalman_update_compiled = compiled(kalman_update, _FOLDER, reorder=True)
+            value = 0.5 * (P[i, j] - updated[i, j] + P[j, i] - updated[j, i])
+            updated[i, j], updated[j, i] = value, value
+    return True
