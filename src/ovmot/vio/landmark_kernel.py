@@ -113,7 +113,7 @@ def _distances(S: FloatArray, residual: FloatArray) -> FloatArray:
             for j in range(m):
                 own[i, j] = S[f * m + i, f * m + j]
             own[m, i] = residual[f, i]
-        factor_with_rows(own, m, 1)
+        factor_with_rows(own)
         for i in range(m):
             out[f] += own[m, i] * own[m, i]
     return out

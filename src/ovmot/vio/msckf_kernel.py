@@ -16,12 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, reordered_part
+from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
 from ovmot.vio.reprojection_kernel import feature_rows
 from ovmot.vio.update_kernel import (
+    explained_square,
     factor_with_rows,
     innovation,
     nearest_first,
+    orthonormalize_rows,
     transposed,
     update_if_consistent,
 )
@@ -30,47 +32,18 @@ _POINT, _POSE, _VIEW = 3, 6, 4  # coordinates of a point and a clone; of a stere
 _LEAST_PIVOT = 1e-13  # of a diagonal of ones: what is less of it is rounding
 
 
-@reordered_part
-def _reflect(A: FloatArray, n: int, j: int, v: FloatArray, columns: int) -> None:
-    """The Householder reflection v (m,) that clears A's column j below its diagonal; A by it."""
-    square = 0.0
-    for i in range(n):
-        v[i] = A[i, j] if i >= j else 0.0
-        square += v[i] * v[i]
-    v[j] += math.copysign(math.sqrt(square), v[j])
-    square += v[j] * v[j] - A[j, j] * A[j, j]
-    scale = math.sqrt(2.0 / square) if square > 0.0 else 0.0
-    for i in range(n):
-        v[i] *= scale
-    for c in range(j, columns):
-        along = 0.0
-        for i in range(j, n):
-            along += v[i] * A[i, c]
-        for i in range(j, n):
-            A[i, c] -= along * v[i]
-
-
-@reordered_part
-def _point_basis(rows: FloatArray, m: int, Q: FloatArray, R: FloatArray) -> None:
+@part
+def _point_basis(rows: FloatArray, Q: FloatArray, R: FloatArray) -> None:
     """Q (3, m), its rows orthonormal, and triangular R (3, 3) with Qᵀ R the point's Jacobian."""
-    A, v = np.empty((m, _POINT)), np.empty((_POINT, m))
-    for i in range(m):
-        for j in range(_POINT):
-            A[i, j] = rows[i, j]
-    for j in range(_POINT):
-        _reflect(A, m, j, v[j], _POINT)
+    m = Q.shape[1]
     for a in range(_POINT):
-        for j in range(_POINT):
-            R[a, j] = A[a, j] if j >= a else 0.0
         for i in range(m):
-            Q[a, i] = 1.0 if i == a else 0.0
-        for b in range(_POINT):
-            j = _POINT - 1 - b
-            along = 0.0
+            Q[a, i] = rows[i, a]
+    orthonormalize_rows(Q)
+    for a in range(_POINT):
+        for j in range(a, _POINT):
             for i in range(m):
-                along += v[j, i] * Q[a, i]
-            for i in range(m):
-                Q[a, i] -= along * v[j, i]
+                R[a, j] += Q[a, i] * rows[i, j]
 
 
 @reordered_part
@@ -116,28 +89,11 @@ def _projected_distance(
         for a in range(_POINT):
             S[m + a, i] = Q[a, i]
         S[m + _POINT, i] = rows[i, 9]
-    factor_with_rows(S, m, _POINT + 1)
-    return _square_beside(S[m:], m)
-
-
-@reordered_part
-def _square_beside(rows: FloatArray, m: int) -> float:
-    """Squared length of the last of four rows (4, m), beside the span of the first three."""
-    for a in range(_POINT + 1):
-        for b in range(a):
-            along = 0.0
-            for k in range(m):
-                along += rows[b, k] * rows[a, k]
-            for k in range(m):
-                rows[a, k] -= along * rows[b, k]
-        square = 0.0
-        for k in range(m):
-            square += rows[a, k] * rows[a, k]
-        if a < _POINT:
-            scale = 1.0 / math.sqrt(square)
-            for k in range(m):
-                rows[a, k] *= scale
-    return square
+    factor_with_rows(S)
+    square = 0.0
+    for i in range(m):
+        square += S[m + _POINT, i] * S[m + _POINT, i]
+    return square - explained_square(S[m:])
 
 
 @reordered_part
@@ -193,7 +149,10 @@ def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
             scale[i], left[i] = math.sqrt(G[i, i]), 1.0
     rank = 0
     while rank < n:
-        p = int(np.argmax(left))
+        p = 0
+        for i in range(1, n):
+            if left[i] > left[p]:
+                p = i
         if not left[p] > _LEAST_PIVOT:
             break
         pivot = math.sqrt(left[p])
@@ -281,7 +240,7 @@ def update_by_features(
         count[f], dof = m, m - _POINT
         if dof > 0:
             Q = np.empty((_POINT, m))
-            _point_basis(rows[f], m, Q, R[f])
+            _point_basis(rows[f], Q, R[f])
             _rows_in_basis(rows[f], clone[f], m, Q, E[f])
             distance = _projected_distance(rows[f], clone[f], m, Q, window)
             if distance < bounds[dof]:

@@ -15,14 +15,15 @@ _VELOCITY, _VELOCITY_DOF = 6, 3  # where the velocity is in the error state
 
 
 @reordered_part
-def factor_with_rows(A: FloatArray, n: int, more: int) -> None:
+def factor_with_rows(A: FloatArray) -> None:
     """Cholesky factor L of I + M, in place, and L⁻¹ of the rows below.
 
-    The lower triangle of A's first n rows is I + M with M positive semidefinite; each of the `more`
-    rows below is a vector b (n,), replaced by L⁻¹ b. No pivot of such a matrix is below 1: where
+    The lower triangle of the first n rows of A (., n) is I + M with M positive semidefinite; each
+    row below is a vector b (n,), replaced by L⁻¹ b. No pivot of such a matrix is below 1: where
     rounding of large entries has lost the noise, it is put back.
     """
-    for i in range(n + more):
+    n = A.shape[1]
+    for i in range(len(A)):
         for j in range(min(i + 1, n)):
             total = A[i, j]
             for k in range(j):
@@ -64,33 +65,38 @@ def nearest_first(size: FloatArray, order: IntArray) -> int:
 
 
 @reordered_part
-def velocity_distance(rows: FloatArray, n: int) -> float:
-    """Squared Mahalanobis distance (3 dof) of the velocity that an update asks for.
+def orthonormalize_rows(A: FloatArray) -> None:
+    """Make A's rows orthonormal, in place, by Gram-Schmidt, each row twice.
 
-    `rows` (4, n): Wᵀ for the velocity, by W = L⁻¹ H P_v, and the whitened innovation y; changed in
-    place. The squared length of y's projection on W's columns (Gram-Schmidt, twice).
+    A row that is in the span of those before it becomes zero.
     """
-    total = 0.0
-    for a in range(_VELOCITY_DOF):
-        before = 0.0
-        for k in range(n):
-            before += rows[a, k] * rows[a, k]
-        for _ in range(2):
-            for b in range(a):
-                along = 0.0
-                for k in range(n):
-                    along += rows[b, k] * rows[a, k]
-                for k in range(n):
-                    rows[a, k] -= along * rows[b, k]
-        square = 0.0
-        for k in range(n):
-            square += rows[a, k] * rows[a, k]
-        if square <= 1e-24 * before:  # no direction of its own
-            square = math.inf
-        along, scale = 0.0, 1.0 / math.sqrt(square)
-        for k in range(n):
-            rows[a, k] *= scale
-            along += rows[a, k] * rows[_VELOCITY_DOF, k]
+    m = A.shape[1]
+    for a in range(len(A)):
+        before, square = 0.0, 0.0
+        for k in range(m):
+            before += A[a, k] * A[a, k]
+        for b in range(2 * a):
+            along = 0.0
+            for k in range(m):
+                along += A[b % a, k] * A[a, k]
+            for k in range(m):
+                A[a, k] -= along * A[b % a, k]
+        for k in range(m):
+            square += A[a, k] * A[a, k]
+        scale = 1.0 / math.sqrt(square) if square > 1e-24 * before else 0.0
+        for k in range(m):
+            A[a, k] *= scale
+
+
+@reordered_part
+def explained_square(A: FloatArray) -> float:
+    """Squared length of what of the last row of A (4, m) is in the span of the others, in place."""
+    total, last = 0.0, len(A) - 1
+    orthonormalize_rows(A[:last])
+    for a in range(last):
+        along = 0.0
+        for k in range(A.shape[1]):
+            along += A[a, k] * A[last, k]
         total += along * along
     return total
 
@@ -142,9 +148,9 @@ def update_if_consistent(
         for a in range(_VELOCITY_DOF):
             S[m + a, i] = HP[i, _VELOCITY + a]
         S[m + _VELOCITY_DOF, i] = residual[i]
-    factor_with_rows(S, m, _VELOCITY_DOF + 1)
-    y = S[m + _VELOCITY_DOF].copy()
-    if not velocity_distance(S[m:], m) < velocity_bound:
+    factor_with_rows(S)
+    y = S[m + _VELOCITY_DOF]
+    if not explained_square(S[m:]) < velocity_bound:  # W for the velocity, and y = L⁻¹ r
         return False
     inverse, W = np.empty((m, m)), np.empty((m, n))
     inverse_factor(S, m, inverse)
