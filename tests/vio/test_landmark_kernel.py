@@ -10,8 +10,9 @@ from plain_msckf import chi2_gate, innovation_consistency, innovation_distances
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.physics import gates
 from ovmot.vio.innovation_consistency import VELOCITY_BOUND
-from ovmot.vio.landmark_kernel import consistent_landmarks_compiled
-from ovmot.vio.state import N_BASE, VELOCITY, State
+from ovmot.vio.landmark_kernel import update_by_landmarks_compiled
+from ovmot.vio.state import N_BASE, VELOCITY, State, box_minus
+from ovmot.vio.update import ekf_update, moved
 
 N_LANDMARKS = 14
 
@@ -42,7 +43,7 @@ def measurements(state: State, m: int) -> tuple[FloatArray, FloatArray, IntArray
 
 @pytest.mark.parametrize("m", [4, 2])
 @pytest.mark.parametrize("scale", [1.0, 50.0])
-def test_rows_are_those_of_the_plain_twin(state: State, m: int, scale: float) -> None:
+def test_the_update_is_that_of_the_plain_twin(state: State, m: int, scale: float) -> None:
     """Large residuals ask together for a velocity that the prediction rules out."""
     H, residual, dof = measurements(state, m)
     residual, multiplier = scale * residual, 3.0 * scale**2
@@ -52,14 +53,22 @@ def test_rows_are_those_of_the_plain_twin(state: State, m: int, scale: float) ->
     gated = chi2_gate(distance, dof, multiplier)
     plain = innovation_consistency(state, H, residual, columns, distance, dof, gated)
     bounds = multiplier * gates(np.maximum(dof, 1.0), 0.95)
-    passed, rows, r = consistent_landmarks_compiled(
+    passed, weight, error, covariance = update_by_landmarks_compiled(
         state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
     )
     np.testing.assert_array_equal(passed, gated)
     assert not passed[[4, 10]].any()
     if plain is None:
-        assert len(rows) == len(r) == 0
+        assert not weight.any()
+        assert not error.any()
+        np.testing.assert_array_equal(covariance, state.covariance)
         return
-    assert scale == 1.0 or (plain.weight > 0.0).sum() < passed.sum()
-    np.testing.assert_allclose(rows.T @ rows, plain.H.T @ plain.H, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(rows.T @ r, plain.H.T @ plain.residual, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(weight, plain.weight, atol=1e-9)
+    assert scale == 1.0 or (weight > 0.0).sum() < passed.sum()
+    ones = np.ones(len(plain.residual))
+    expected = ekf_update(state, plain.H, columns, plain.residual, ones)
+    deviation = np.sqrt(np.diag(expected.covariance))
+    difference = (covariance - expected.covariance) / np.outer(deviation, deviation)
+    np.testing.assert_allclose(difference, 0.0, atol=1e-9)
+    found = moved(state, error, covariance)
+    np.testing.assert_allclose(box_minus(found, expected) / deviation, 0.0, atol=1e-8)

@@ -103,7 +103,9 @@ def unknown_features(
 def initialized(state: State, rig: StereoRig, system: FeatureSystem, points: FloatArray) -> State:
     """The state augmented by all features, by the rows that determine them alone."""
     rows = project_nullspace(system).points
-    return delayed_initialization(state, rows, np.arange(len(points)), points, rig.T_imu_cam0)
+    return delayed_initialization(
+        state, rows, np.arange(len(points)), points, rig.T_imu_cam0, np.zeros(len(state.covariance))
+    )
 
 
 def points_of(state: State, rig: StereoRig) -> FloatArray:

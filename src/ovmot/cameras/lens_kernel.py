@@ -8,6 +8,8 @@ import math
 
 import numpy as np
 
+from ovmot.cameras.models.radtan_kernel import distort as distort_radtan
+from ovmot.cameras.models.radtan_kernel import distort_jacobian as distort_radtan_jacobian
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import part
@@ -22,12 +24,7 @@ Four = tuple[float, float, float, float]
 def distort(lens: int, d: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Distorted normalized coordinates of undistorted ones, with coefficients d (5,)."""
     if lens == _RADTAN:
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
-        return (
-            x * radial + 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x),
-            y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y,
-        )
+        return distort_radtan(d, x, y)
     if lens == _EQUIDISTANT:
         r = math.sqrt(x * x + y * y)
         if r < 1e-8:
@@ -43,16 +40,7 @@ def distort(lens: int, d: FloatArray, x: float, y: float) -> tuple[float, float]
 def distort_jacobian(lens: int, d: FloatArray, x: float, y: float) -> Four:
     """Derivative of `distort` by (x, y), row by row."""
     if lens == _RADTAN:
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
-        slope = 2.0 * (d[0] + r2 * (2.0 * d[1] + 3.0 * r2 * d[4]))
-        mixed = slope * x * y + 2.0 * d[2] * x + 2.0 * d[3] * y
-        return (
-            radial + slope * x * x + 2.0 * d[2] * y + 6.0 * d[3] * x,
-            mixed,
-            mixed,
-            radial + slope * y * y + 6.0 * d[2] * y + 2.0 * d[3] * x,
-        )
+        return distort_radtan_jacobian(d, x, y)
     if lens == _EQUIDISTANT:
         r = math.sqrt(x * x + y * y)
         if r < 1e-8:

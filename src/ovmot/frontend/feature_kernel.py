@@ -34,8 +34,9 @@ def find_features(
     aligned again; below `min_correlation` the flow's answer stays, with the warp it started from.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
-    holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of
-    feature n that at `slot[n]`. `n_levels` of the pyramids are searched.
+    holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey`
+    (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of feature n that at
+    `slot[n]`. `n_levels` of the pyramids are searched.
     """
     n_points = len(points)
     uv, warp = start.copy(), start_warp.copy()
@@ -85,7 +86,7 @@ def cut_patches(
 
 
 def pack_quads(image: Image) -> Quads:
-    """The words (height - 1, width - 1) of an image: one load gets all that interpolates a pixel."""
+    """The words (height - 1, width - 1) of an image: one load has all that a sample needs."""
     height, width = image.shape
     words = np.empty((height - 1, width - 1), dtype=np.int32)
     for i in range(height - 1):

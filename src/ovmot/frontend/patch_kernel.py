@@ -49,11 +49,11 @@ outline it belongs to another body."""
 
 
 class Room(NamedTuple):
-    """Memory for one alignment, (PADDED,) each: `quad` words of four grey levels, `index` of them in
+    """Memory for one alignment, (PADDED,) each: words `quad` of four grey levels, their `place` in
     the image, fractions `a`, `b` of a pixel beyond them; `sums` (9,), `step` (6,)."""
 
     quad: Quads
-    index: Quads
+    place: Quads
     a: _Float32
     b: _Float32
     sums: FloatArray
@@ -71,26 +71,26 @@ def make_room() -> Room:
 
 @reordered_part
 def _locate(u: float, v: float, warp: FloatArray, stride: int, room: Room) -> None:
-    """Fill `index`, `a` and `b` of the room for the pixels at (u, v) + warp x of all offsets x,
+    """Fill `place`, `a` and `b` of the room for the pixels at (u, v) + warp x of all offsets x,
     with (u, v) relative to a corner that leaves all of them positive: single precision is enough.
     """
     u0, v0, row_length = np.float32(u), np.float32(v), np.int32(stride)
     w00, w01 = np.float32(warp[0, 0]), np.float32(warp[0, 1])
     w10, w11 = np.float32(warp[1, 0]), np.float32(warp[1, 1])
-    index, a, b = room.index, room.a, room.b
+    place, a, b = room.place, room.a, room.b
     for m in range(PADDED):
         x = u0 + w00 * OFFSET_U[m] + w01 * OFFSET_V[m]
         y = v0 + w10 * OFFSET_U[m] + w11 * OFFSET_V[m]
         column, row = np.int32(x), np.int32(y)
         a[m], b[m] = x - np.float32(column), y - np.float32(row)
-        index[m] = np.int32(row * row_length + column)
+        place[m] = np.int32(row * row_length + column)
 
 
 @part
 def _load(words: Quads, corner: int, room: Room) -> None:
-    """Fill `quad` of the room by the words at `index`, counted from `corner`."""
+    """Fill `quad` of the room by the words at `place`, counted from `corner`."""
     for m in range(PADDED):
-        room.quad[m] = words[np.uint64(corner + room.index[m])]
+        room.quad[m] = words[np.uint64(corner + room.place[m])]
 
 
 @reordered_part

@@ -92,10 +92,10 @@ def patch_image(image: Image, *, sigma_px: float = 0.8) -> Quads:
 
     Bilinear sampling between smoothed pixels costs little sharpness.
     """
-    smooth = cv2.GaussianBlur(image, (5, 5), sigma_px)
+    smooth = np.asarray(cv2.GaussianBlur(image, (5, 5), sigma_px), dtype=np.uint8)
     edges = (MARGIN, MARGIN + 1, MARGIN, MARGIN + 1)  # a word holds the next row and column
     padded = cv2.copyMakeBorder(smooth, *edges, cv2.BORDER_REPLICATE)
-    words: Quads = pack_quads_compiled(padded)
+    words: Quads = pack_quads_compiled(np.asarray(padded, dtype=np.uint8))
     return words
 
 

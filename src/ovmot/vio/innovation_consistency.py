@@ -9,7 +9,8 @@ squared length is chi-squared with 3 degrees of freedom.
 A feature whose innovation is larger than expected gets Huber's weight (P. Huber, 1964). Where the
 velocity that all ask for is beyond the gate, the half of them that is nearest to the prediction is
 tried, and so on; the others get weight 0. Fewer features than components of the velocity cannot
-contradict each other. The kernels do it: `msckf_kernel`, `landmark_kernel`.
+contradict each other. The kernels do it: `msckf_kernel`,
+`landmark_kernel`.
 """
 
 from ovmot.physics import VARIANCE_FACTOR, gate

@@ -11,7 +11,12 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
 from ovmot.vio.reprojection_kernel import feature_rows
-from ovmot.vio.update_kernel import asked_velocity_distance, factor_with_rows, nearest_first
+from ovmot.vio.update_kernel import (
+    factor_with_rows,
+    innovation,
+    nearest_first,
+    update_if_consistent,
+)
 
 _LEAST = 3  # features: fewer than components of the velocity cannot contradict each other
 _POSE = 6  # coordinates of a clone
@@ -96,27 +101,25 @@ def landmark_rows(
 
 
 @reordered_part
-def _distances(P: FloatArray, H: FloatArray, residual: FloatArray, first: int) -> FloatArray:
-    """Squared Mahalanobis distance (L,) of each landmark's innovation: rᵀ (H P Hᵀ + I)⁻¹ r."""
-    n_landmarks, m, n = H.shape
-    HP = np.empty((n_landmarks * m, len(P)))
-    np.dot(H.reshape((n_landmarks * m, n)), P[first : first + n], HP)
-    out, S = np.zeros(n_landmarks), np.empty((m + 1, m))
+def _distances(S: FloatArray, residual: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distance (L,) of each landmark's innovation: rᵀ (H P Hᵀ + I)⁻¹ r.
+
+    `S` holds the innovation covariance of all rows together, `residual` (L, m).
+    """
+    n_landmarks, m = residual.shape
+    out, own = np.zeros(n_landmarks), np.empty((m + 1, m))
     for f in range(n_landmarks):
         for i in range(m):
-            for j in range(i + 1):
-                total = 1.0 if i == j else 0.0
-                for k in range(n):
-                    total += HP[f * m + i, first + k] * H[f, j, k]
-                S[i, j] = total
-            S[m, i] = residual[f, i]
-        factor_with_rows(S, m, 1)
+            for j in range(m):
+                own[i, j] = S[f * m + i, f * m + j]
+            own[m, i] = residual[f, i]
+        factor_with_rows(own)
         for i in range(m):
-            out[f] += S[m, i] * S[m, i]
+            out[f] += own[m, i] * own[m, i]
     return out
 
 
-def consistent_landmarks(
+def update_by_landmarks(
     P: FloatArray,
     H: FloatArray,
     residual: FloatArray,
@@ -124,37 +127,63 @@ def consistent_landmarks(
     dof: IntArray,
     bounds: FloatArray,
     velocity_bound: float,
-) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Landmarks that passed their gate (L,), and the weighted rows H (m, k), residual (m,) of those
-    that are consistent; none where too few are.
+) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray]:
+    """One update by the landmarks that are consistent: passed, weight, error, covariance.
 
-    `H` (L, M, k) and `residual` (L, M): whitened, rows of zeros where nothing was seen, over the
+    `H` (L, m, k) and `residual` (L, m): whitened, rows of zeros where nothing was seen, over the
     coordinates of `P` (N, N) from `first` on; `dof` (L,), `bounds` (L,): degrees of freedom and
-    gate of each squared distance. See `innovation_consistency`.
+    gate of each squared distance. `passed` (L,): those that passed their own gate; `weight` (L,):
+    see `innovation_consistency`, all 0 where too few are consistent; the error vector (N,) and the
+    covariance (N, N) after the update.
     """
     n_landmarks, m, n = H.shape
+    HP, S = np.empty((n_landmarks * m, len(P))), np.empty((n_landmarks * m, n_landmarks * m))
+    innovation(P, H.reshape((n_landmarks * m, n)), first, HP, S)
     passed, ratio = np.zeros(n_landmarks, dtype=np.bool_), np.full(n_landmarks, np.inf)
-    distance, order = _distances(P, H, residual, first), np.empty(n_landmarks, dtype=np.int64)
+    distance, order = _distances(S, residual), np.empty(n_landmarks, dtype=np.int64)
     for f in range(n_landmarks):
         if dof[f] > 0 and distance[f] < bounds[f]:
             passed[f], ratio[f] = True, math.sqrt(distance[f] / dof[f])
+    weight, error, updated = np.zeros(n_landmarks), np.zeros(len(P)), np.empty(P.shape)
     candidates = nearest_first(ratio, order)
     kept = candidates
     while kept >= max(min(_LEAST, candidates), 1):
-        rows, r = np.empty((kept * m, n)), np.empty(kept * m)
+        weight[:] = 0.0
         for k in range(kept):
-            f = order[k]
-            weight = 1.0 / math.sqrt(max(ratio[f], 1.0))
-            for i in range(m):
-                r[k * m + i] = weight * residual[f, i]
-                for j in range(n):
-                    rows[k * m + i, j] = weight * H[f, i, j]
-        if asked_velocity_distance(P, rows, r, first) < velocity_bound:
-            return passed, rows, r
+            weight[order[k]] = 1.0 / math.sqrt(max(ratio[order[k]], 1.0))
+        rows, T, r = _weighted(HP, S, residual, weight, kept * m)
+        if update_if_consistent(P, rows, T, r, velocity_bound, error, updated):
+            return passed, weight, error, updated
         kept //= 2
-    return passed, np.empty((0, n)), np.empty(0)
+    weight[:] = 0.0
+    return passed, weight, error, P
+
+
+@reordered_part
+def _weighted(
+    HP: FloatArray, S: FloatArray, residual: FloatArray, weight: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """H P, innovation covariance and residual of the `count` rows that have a weight, scaled."""
+    n_landmarks, m = residual.shape
+    scale, row = np.empty(count), np.empty(count, dtype=np.int64)
+    at = 0
+    for f in range(n_landmarks):
+        if weight[f] > 0.0:
+            for i in range(m):
+                scale[at], row[at] = weight[f], f * m + i
+                at += 1
+    rows, T = np.empty((count, HP.shape[1])), np.empty((count + _LEAST + 1, count))
+    r = np.empty(count)
+    for i in range(count):
+        r[i] = scale[i] * residual[row[i] // m, row[i] % m]
+        for j in range(HP.shape[1]):
+            rows[i, j] = scale[i] * HP[row[i], j]
+        for j in range(i):
+            T[i, j] = scale[i] * scale[j] * S[row[i], row[j]]
+        T[i, i] = scale[i] * scale[i] * (S[row[i], row[i]] - 1.0) + 1.0
+    return rows, T, r
 
 
 _FOLDER = code_folder(Path(__file__))
 landmark_rows_compiled = compiled(landmark_rows, _FOLDER)
-consistent_landmarks_compiled = compiled(consistent_landmarks, _FOLDER, reorder=True)
+update_by_landmarks_compiled = compiled(update_by_landmarks, _FOLDER, reorder=True)

@@ -16,7 +16,7 @@ from ovmot.geometry.triangulation import MAX_DEPTH_M
 from ovmot.physics import gates
 from ovmot.settings import FilterSettings
 from ovmot.vio.innovation_consistency import VELOCITY_BOUND
-from ovmot.vio.msckf_kernel import consistent_features_compiled
+from ovmot.vio.msckf_kernel import update_by_features_compiled
 from ovmot.vio.online_calibration import (
     CAMERA_INTRINSICS,
     CAMERA_POSES,
@@ -69,14 +69,14 @@ class PointRows:
 class ConsistentFeatures:
     """One update by all features that are consistent.
 
-    `weight` (F,): factor on each feature's rows, 0 for those left out, up to 1; `H` (k, C + 6K) and
-    `residual` (k,): the weighted rows, compressed and whitened; `points`: the rows that determine
-    the points, of all features.
+    `weight` (F,): factor on each feature's rows, 0 for those left out, up to 1; `error` (N,) and
+    `covariance` (N, N): what the update makes of the state; `points`: the rows that determine the
+    points, of all features.
     """
 
     weight: FloatArray
-    H: FloatArray
-    residual: FloatArray
+    error: FloatArray
+    covariance: FloatArray
     points: PointRows
 
 
@@ -152,7 +152,7 @@ def reproject(
 def consistent_features(
     state: State, rig: StereoRig, pixels: FloatArray, points: FloatArray, settings: FilterSettings
 ) -> ConsistentFeatures:
-    """One set of rows by those features that agree with each other and with the prediction.
+    """One update by those features that agree with each other and with the prediction.
 
     `rig` as calibrated now; `pixels` (F, K, 4) from the K clones, NaN where not to be used;
     `points` (F, 3): in world, where they are linearized. Each feature is gated at `chi2_multiplier`
@@ -161,13 +161,13 @@ def consistent_features(
     clones = state.clones
     n_rows = 4 * pixels.shape[1]
     bounds = settings.chi2_multiplier * gates(np.maximum(np.arange(n_rows + 1.0), 1.0), 0.95)
-    weight, H, residual, R, E = consistent_features_compiled(
+    weight, error, covariance, R, E = update_by_features_compiled(
         points, pixels, calibration_jacobians(clones, rig, points, state.calibration),
         se3.inverse(clones.T_world_imu), se3.inverse(clones.T_world_imu_first),
         se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
         settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
     )  # fmt: skip
-    return ConsistentFeatures(weight, H, residual, PointRows(R, E[..., :-1], E[..., -1]))
+    return ConsistentFeatures(weight, error, covariance, PointRows(R, E[..., :-1], E[..., -1]))
 
 
 def calibration_jacobian(

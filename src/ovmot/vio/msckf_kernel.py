@@ -7,7 +7,7 @@ HᵀH has one block a clone; and the projected innovation's distance is that of 
 columns explain. Both are the same as by the rows in the left nullspace (A. Mourikis &
 S. Roumeliotis, ICRA 2007), at a fraction of the cost.
 
-tests/vio/plain_msckf.py holds the plain NumPy twin, which does project.
+tests/fixtures/plain_msckf.py holds the plain NumPy twin, which does project.
 """
 
 import math
@@ -16,60 +16,34 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, reordered_part
+from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
 from ovmot.vio.reprojection_kernel import feature_rows
 from ovmot.vio.update_kernel import (
-    asked_velocity_distance,
+    explained_square,
     factor_with_rows,
+    innovation,
     nearest_first,
+    orthonormalize_rows,
     transposed,
+    update_if_consistent,
 )
 
 _POINT, _POSE, _VIEW = 3, 6, 4  # coordinates of a point and a clone; of a stereo view
 _LEAST_PIVOT = 1e-13  # of a diagonal of ones: what is less of it is rounding
 
 
-@reordered_part
-def _reflect(A: FloatArray, n: int, j: int, v: FloatArray, columns: int) -> None:
-    """The Householder reflection v (m,) that clears A's column j below its diagonal; A by it."""
-    square = 0.0
-    for i in range(n):
-        v[i] = A[i, j] if i >= j else 0.0
-        square += v[i] * v[i]
-    v[j] += math.copysign(math.sqrt(square), v[j])
-    square += v[j] * v[j] - A[j, j] * A[j, j]
-    scale = math.sqrt(2.0 / square) if square > 0.0 else 0.0
-    for i in range(n):
-        v[i] *= scale
-    for c in range(j, columns):
-        along = 0.0
-        for i in range(j, n):
-            along += v[i] * A[i, c]
-        for i in range(j, n):
-            A[i, c] -= along * v[i]
-
-
-@reordered_part
-def _point_basis(rows: FloatArray, m: int, Q: FloatArray, R: FloatArray) -> None:
+@part
+def _point_basis(rows: FloatArray, Q: FloatArray, R: FloatArray) -> None:
     """Q (3, m), its rows orthonormal, and triangular R (3, 3) with Qᵀ R the point's Jacobian."""
-    A, v = np.empty((m, _POINT)), np.empty((_POINT, m))
-    for i in range(m):
-        for j in range(_POINT):
-            A[i, j] = rows[i, j]
-    for j in range(_POINT):
-        _reflect(A, m, j, v[j], _POINT)
+    m = Q.shape[1]
     for a in range(_POINT):
-        for j in range(_POINT):
-            R[a, j] = A[a, j] if j >= a else 0.0
         for i in range(m):
-            Q[a, i] = 1.0 if i == a else 0.0
-        for b in range(_POINT):
-            j = _POINT - 1 - b
-            along = 0.0
+            Q[a, i] = rows[i, a]
+    orthonormalize_rows(Q)
+    for a in range(_POINT):
+        for j in range(a, _POINT):
             for i in range(m):
-                along += v[j, i] * Q[a, i]
-            for i in range(m):
-                Q[a, i] -= along * v[j, i]
+                R[a, j] += Q[a, i] * rows[i, j]
 
 
 @reordered_part
@@ -115,28 +89,11 @@ def _projected_distance(
         for a in range(_POINT):
             S[m + a, i] = Q[a, i]
         S[m + _POINT, i] = rows[i, 9]
-    factor_with_rows(S, m, _POINT + 1)
-    return _square_beside(S[m:], m)
-
-
-@reordered_part
-def _square_beside(rows: FloatArray, m: int) -> float:
-    """Squared length of the last of four rows (4, m), beside the span of the first three."""
-    for a in range(_POINT + 1):
-        for b in range(a):
-            along = 0.0
-            for k in range(m):
-                along += rows[b, k] * rows[a, k]
-            for k in range(m):
-                rows[a, k] -= along * rows[b, k]
-        square = 0.0
-        for k in range(m):
-            square += rows[a, k] * rows[a, k]
-        if a < _POINT:
-            scale = 1.0 / math.sqrt(square)
-            for k in range(m):
-                rows[a, k] *= scale
-    return square
+    factor_with_rows(S)
+    square = 0.0
+    for i in range(m):
+        square += S[m + _POINT, i] * S[m + _POINT, i]
+    return square - explained_square(S[m:])
 
 
 @reordered_part
@@ -178,7 +135,7 @@ def _add_information(
 
 
 @reordered_part
-def _compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
+def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
     """H (k, n), of rank k, and residual (k,) with G = [H | r]ᵀ [H | r], but for rᵀr.
 
     A Cholesky factor with diagonal pivoting of G's lower triangle (n + 1, n + 1), scaled to a
@@ -192,7 +149,10 @@ def _compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
             scale[i], left[i] = math.sqrt(G[i, i]), 1.0
     rank = 0
     while rank < n:
-        p = int(np.argmax(left))
+        p = 0
+        for i in range(1, n):
+            if left[i] > left[p]:
+                p = i
         if not left[p] > _LEAST_PIVOT:
             break
         pivot = math.sqrt(left[p])
@@ -235,7 +195,7 @@ def _weighted_information(
     return G
 
 
-def consistent_features(
+def update_by_features(
     points: FloatArray,
     pixels: FloatArray,
     by_calibration: FloatArray,
@@ -250,7 +210,7 @@ def consistent_features(
     bounds: FloatArray,
     velocity_bound: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """One set of compressed rows by all features that are consistent: weight, H, residual, R, E.
+    """One update by all features that are consistent: weight, error, covariance, R, E.
 
     `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
     (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_imu_world of the clones, by
@@ -258,8 +218,8 @@ def consistent_features(
     (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
     gate of a feature's distance by its degrees of freedom.
 
-    `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; `H` (k, n),
-    `residual` (k,): the weighted rows, compressed, of noise 1; `R` (F, 3, 3), `E` (F, 3, n + 1):
+    `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; the error
+    vector (N,) and the covariance (N, N) after the update; `R` (F, 3, 3), `E` (F, 3, n + 1):
     R δp + E (x, -1) = noise of variance 1, the rows that determine each point.
     """
     n_features, n_clones = pixels.shape[:2]
@@ -280,25 +240,27 @@ def consistent_features(
         count[f], dof = m, m - _POINT
         if dof > 0:
             Q = np.empty((_POINT, m))
-            _point_basis(rows[f], m, Q, R[f])
+            _point_basis(rows[f], Q, R[f])
             _rows_in_basis(rows[f], clone[f], m, Q, E[f])
             distance = _projected_distance(rows[f], clone[f], m, Q, window)
             if distance < bounds[dof]:
                 ratio[f] = math.sqrt(distance / dof)
     candidates = nearest_first(ratio, order)
-    weight, H, residual = np.zeros(n_features), np.empty((n, n)), np.empty(n)
+    weight, error, updated = np.zeros(n_features), np.zeros(len(P)), np.empty(P.shape)
     kept = candidates
     while kept >= max(min(_POINT, candidates), 1):
         weight[:] = 0.0
         for k in range(kept):
             weight[order[k]] = 1.0 / math.sqrt(max(ratio[order[k]], 1.0))
-        H, residual = _compressed(_weighted_information(rows, clone, count, E, weight))
-        if asked_velocity_distance(P, H, residual, first) < velocity_bound:
-            return weight, H, residual, R, E
+        H, residual = compressed(_weighted_information(rows, clone, count, E, weight))
+        HP, S = np.empty((len(H), len(P))), np.empty((len(H) + _POINT + 1, len(H)))
+        innovation(P, H, first, HP, S)
+        if update_if_consistent(P, HP, S, residual, velocity_bound, error, updated):
+            return weight, error, updated, R, E
         kept //= 2
     weight[:] = 0.0
-    return weight, H, residual, R, E
+    return weight, error, P, R, E
 
 
 _FOLDER = code_folder(Path(__file__))
-consistent_features_compiled = compiled(consistent_features, _FOLDER, reorder=True)
+update_by_features_compiled = compiled(update_by_features, _FOLDER, reorder=True)

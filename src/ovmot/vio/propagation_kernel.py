@@ -37,7 +37,7 @@ def _pair_matrices(
     Jacobian of the pair's rotation.
     """
     F[:] = 0.0
-    turned, hat = np.empty((3, 3)), np.empty((3, 3))
+    turned, hat_p, hat_v = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     _times_hat(R, force, turned)
     for i in range(3):
         for j in range(3):
@@ -46,16 +46,16 @@ def _pair_matrices(
         F[_POSITION + i, _VELOCITY + i] = h
         for c in range(by_rate.shape[1]):
             for j in range(3):
+                by_turn, by_push = h * turned[i, j] * by_rate[j, c], R[i, j] * by_force[j, c]
                 F[_THETA + i, _BIAS + c] += h * Jr[i, j] * by_rate[j, c]
-                F[_POSITION + i, _BIAS + c] -= h**3 / 6.0 * turned[i, j] * by_rate[j, c]
-                F[_POSITION + i, _BIAS + c] += 0.5 * h * h * R[i, j] * by_force[j, c]
-                F[_VELOCITY + i, _BIAS + c] -= 0.5 * h * h * turned[i, j] * by_rate[j, c]
-                F[_VELOCITY + i, _BIAS + c] += h * R[i, j] * by_force[j, c]
-    for row, increment in ((_POSITION, dp), (_VELOCITY, dv)):
-        _times_hat(R, increment, hat)
-        for i in range(3):
-            for j in range(3):
-                F[row + i, _THETA + j] = -hat[i, j]
+                F[_POSITION + i, _BIAS + c] += h * h * (0.5 * by_push - by_turn / 6.0)
+                F[_VELOCITY + i, _BIAS + c] += h * (by_push - 0.5 * by_turn)
+    _times_hat(R, dp, hat_p)
+    _times_hat(R, dv, hat_v)
+    for i in range(3):
+        for j in range(3):
+            F[_POSITION + i, _THETA + j] = -hat_p[i, j]
+            F[_VELOCITY + i, _THETA + j] = -hat_v[i, j]
 
 
 @part
@@ -65,9 +65,8 @@ def _advance(F: FloatArray, A: FloatArray, moved: FloatArray) -> None:
         for c in range(A.shape[1]):
             moved[i, c] = 0.0
         for k in range(_N_IMU):
-            if F[i, k] != 0.0:
-                for c in range(A.shape[1]):
-                    moved[i, c] += F[i, k] * A[k, c]
+            for c in range(A.shape[1]):
+                moved[i, c] += F[i, k] * A[k, c]
     for i in range(_BIAS):
         for c in range(A.shape[1]):
             A[i, c] = moved[i, c]
@@ -83,7 +82,7 @@ def _add_noise(
             for k in range(3):
                 Q[_THETA + i, _THETA + j] += gyro * h * Jr[i, k] * Jr[j, k]
         Q[_VELOCITY + i, _VELOCITY + i] += accel * h
-        Q[_POSITION + i, _POSITION + i] += accel * h**3 / 4.0
+        Q[_POSITION + i, _POSITION + i] += accel * h * h * h / 4.0
         Q[_POSITION + i, _VELOCITY + i] += accel * h * h / 2.0
         Q[_VELOCITY + i, _POSITION + i] += accel * h * h / 2.0
         Q[_BIAS + i, _BIAS + i] += walk[0] * h
@@ -149,7 +148,9 @@ def chain_pairs(
             _advance(F, Q, moved)
             for i in range(_N_IMU):
                 for j in range(i):
-                    Q[i, j], Q[j, i] = Q[j, i], Q[i, j]
+                    below = Q[i, j]
+                    Q[i, j] = Q[j, i]
+                    Q[j, i] = below
         _add_noise(Q, Jr, h, variance[n, 0], variance[n, 1], walk)
         _advance(F, Phi, moved)
         for i in range(_BIAS):

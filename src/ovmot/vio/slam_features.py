@@ -16,11 +16,11 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.physics import gates
 from ovmot.vio.innovation_consistency import VELOCITY_BOUND
-from ovmot.vio.landmark_kernel import consistent_landmarks_compiled, landmark_rows_compiled
+from ovmot.vio.landmark_kernel import landmark_rows_compiled, update_by_landmarks_compiled
 from ovmot.vio.landmarks import NO_ANCHOR, Landmarks
 from ovmot.vio.msckf_features import PointRows, calibration_jacobians
 from ovmot.vio.state import CLONE_SIZE, N_BASE, Clones, State
-from ovmot.vio.update import update_by_rows
+from ovmot.vio.update import moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +97,13 @@ def update_slam_features(
         return state
     H, residual, dof = landmark_system(state, rig, T_imu_anchor, pixels, sigma_px)
     bounds = chi2_multiplier * gates(np.maximum(dof, 1.0), 0.95)
-    passed, rows, r = consistent_landmarks_compiled(
+    passed, weight, error, covariance = update_by_landmarks_compiled(
         state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
     )
     rejections = state.landmarks.rejections + ((dof > 0) & ~passed)
     rejections[passed] = 0
     state = replace(state, landmarks=replace(state.landmarks, rejections=rejections))
-    return update_by_rows(state, rows, r, N_BASE)
+    return moved(state, error, covariance) if weight.any() else state
 
 
 def delayed_initialization(
@@ -112,9 +112,12 @@ def delayed_initialization(
     feature_id: IntArray,
     p_world: FloatArray,
     T_imu_anchor: FloatArray,
+    error: FloatArray,
 ) -> State:
     """Augment the state by features (L,) linearized at `p_world` (L, 3), by their `rows`.
 
+    `error` (N,): of the estimate, as the update by the features' other rows has found it, zeros
+    for none; the state's covariance is that after it, its estimate that before.
     The newest clone becomes the anchor. The value v follows from A v + B x = r, with white noise of
     variance 1: its error is -A⁻¹ (B x - n). Features whose rows leave a direction undetermined are
     left out.
@@ -134,7 +137,7 @@ def delayed_initialization(
     cross = G @ P[columns]
     own = cross[:, columns] @ G.T
     own += block_diag(*(A_inverse @ np.swapaxes(A_inverse, -1, -2)))
-    new = new.plus((A_inverse @ residual[..., None]).ravel())
+    new = new.plus((A_inverse @ residual[..., None]).ravel() + G @ error[columns])
     covariance = np.block([[P, cross.T], [cross, 0.5 * (own + own.T)]])
     return replace(state, landmarks=state.landmarks.append(new), covariance=covariance)
 

@@ -122,6 +122,25 @@ def _refine(
 
 
 @part
+def _seen_views(
+    views: FloatArray, T: FloatArray, xy: FloatArray, relative: FloatArray
+) -> tuple[int, int]:
+    """Number of the views that saw the feature, and the first of them, the anchor.
+
+    Their coordinates go to the first rows of `xy` (V, 2), their T_view_anchor to `relative`.
+    """
+    n, anchor = 0, 0
+    for v in range(len(views)):
+        if math.isfinite(views[v, 0]):
+            if n == 0:
+                anchor = v
+            relative_pose(T[v], T[anchor], relative[n])
+            xy[n, 0], xy[n, 1] = views[v, 0], views[v, 1]
+            n += 1
+    return n, anchor
+
+
+@part
 def _triangulate(
     views: FloatArray, T: FloatArray, sigma: float, depth_range: FloatArray, p: FloatArray
 ) -> bool:
@@ -129,16 +148,8 @@ def _triangulate(
 
     `views` (V, 2), NaN where unseen; `T` (V, 4, 4): the views' T_view_world.
     """
-    n_views = len(views)
-    xy, relative = np.empty((n_views, 2)), np.empty((n_views, 3, 4))
-    n, anchor = 0, 0
-    for v in range(n_views):
-        if math.isfinite(views[v, 0]):
-            if n == 0:
-                anchor = v
-            relative_pose(T[v], T[anchor], relative[n])
-            xy[n, 0], xy[n, 1] = views[v, 0], views[v, 1]
-            n += 1
+    xy, relative = np.empty(views.shape), np.empty((len(views), 3, 4))
+    n, anchor = _seen_views(views, T, xy, relative)
     if n < 2:
         return False
     depth = _linear_depth(xy, relative, n)

@@ -8,7 +8,6 @@ from scipy.linalg.lapack import dgeqrt, dpstrf
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.vio.state import State, box_plus
-from ovmot.vio.update_kernel import kalman_update_compiled
 
 
 def ekf_update(
@@ -39,16 +38,11 @@ def ekf_update(
     return replace(updated, covariance=0.5 * (covariance + covariance.T))
 
 
-def update_by_rows(state: State, H: FloatArray, residual: FloatArray, first: int) -> State:
-    """The state updated by residual = H δ[first:first + k] + n, n ~ N(0, I), in compiled code.
+def moved(state: State, error: FloatArray, covariance: FloatArray) -> State:
+    """The state by the error vector (N,) and the covariance (N, N) that a kernel has found.
 
-    `H` (m, k), `residual` (m,). As `ekf_update`; the innovation covariance is formed, so that no
-    row of H may be so large that rounding loses the noise. Raises `FloatingPointError` where the
-    numbers break down.
+    Raises `FloatingPointError` where the numbers broke down.
     """
-    if len(residual) == 0:
-        return state
-    error, covariance = kalman_update_compiled(state.covariance, H, residual, first)
     if not np.isfinite(error).all():
         raise FloatingPointError("an update is not finite")
     return replace(box_plus(state, error), covariance=covariance)

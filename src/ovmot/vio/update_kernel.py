@@ -1,28 +1,29 @@
 """The compiled algebra of an update: factors, the consistency of many rows, the Kalman update.
 
-All matrices are contiguous (C order). tests/vio/test_update_kernel.py holds the plain twins.
+Called by kernels only. All matrices are contiguous (C order). The plain NumPy twins are in
+`vio.update` and tests/fixtures/plain_msckf.py.
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
+from ovmot.kernels.cache import part, reordered_part
 
 _VELOCITY, _VELOCITY_DOF = 6, 3  # where the velocity is in the error state
 
 
 @reordered_part
-def factor_with_rows(A: FloatArray, n: int, more: int) -> None:
+def factor_with_rows(A: FloatArray) -> None:
     """Cholesky factor L of I + M, in place, and L⁻¹ of the rows below.
 
-    The lower triangle of A's first n rows is I + M with M positive semidefinite; each of the `more`
-    rows below is a vector b (n,), replaced by L⁻¹ b. No pivot of such a matrix is below 1: where
+    The lower triangle of the first n rows of A (., n) is I + M with M positive semidefinite; each
+    row below is a vector b (n,), replaced by L⁻¹ b. No pivot of such a matrix is below 1: where
     rounding of large entries has lost the noise, it is put back.
     """
-    for i in range(n + more):
+    n = A.shape[1]
+    for i in range(len(A)):
         for j in range(min(i + 1, n)):
             total = A[i, j]
             for k in range(j):
@@ -64,33 +65,38 @@ def nearest_first(size: FloatArray, order: IntArray) -> int:
 
 
 @reordered_part
-def velocity_distance(rows: FloatArray, n: int) -> float:
-    """Squared Mahalanobis distance (3 dof) of the velocity that an update asks for.
+def orthonormalize_rows(A: FloatArray) -> None:
+    """Make A's rows orthonormal, in place, by Gram-Schmidt, each row twice.
 
-    `rows` (4, n): Wᵀ for the velocity, by W = L⁻¹ H P_v, and the whitened innovation y; changed in
-    place. The squared length of y's projection on W's columns (Gram-Schmidt, twice).
+    A row that is in the span of those before it becomes zero.
     """
-    total = 0.0
-    for a in range(_VELOCITY_DOF):
-        before = 0.0
-        for k in range(n):
-            before += rows[a, k] * rows[a, k]
-        for _ in range(2):
-            for b in range(a):
-                along = 0.0
-                for k in range(n):
-                    along += rows[b, k] * rows[a, k]
-                for k in range(n):
-                    rows[a, k] -= along * rows[b, k]
-        square = 0.0
-        for k in range(n):
-            square += rows[a, k] * rows[a, k]
-        if square <= 1e-24 * before:  # no direction of its own
-            square = math.inf
-        along, scale = 0.0, 1.0 / math.sqrt(square)
-        for k in range(n):
-            rows[a, k] *= scale
-            along += rows[a, k] * rows[_VELOCITY_DOF, k]
+    m = A.shape[1]
+    for a in range(len(A)):
+        before, square = 0.0, 0.0
+        for k in range(m):
+            before += A[a, k] * A[a, k]
+        for b in range(2 * a):
+            along = 0.0
+            for k in range(m):
+                along += A[b % a, k] * A[a, k]
+            for k in range(m):
+                A[a, k] -= along * A[b % a, k]
+        for k in range(m):
+            square += A[a, k] * A[a, k]
+        scale = 1.0 / math.sqrt(square) if square > 1e-24 * before else 0.0
+        for k in range(m):
+            A[a, k] *= scale
+
+
+@reordered_part
+def explained_square(A: FloatArray) -> float:
+    """Squared length of what of the last row of A (4, m) is in the span of the others, in place."""
+    total, last = 0.0, len(A) - 1
+    orthonormalize_rows(A[:last])
+    for a in range(last):
+        along = 0.0
+        for k in range(A.shape[1]):
+            along += A[a, k] * A[last, k]
         total += along * along
     return total
 
@@ -106,31 +112,11 @@ def transposed(A: FloatArray, n: int) -> FloatArray:
 
 
 @reordered_part
-def asked_velocity_distance(
-    P: FloatArray, H: FloatArray, residual: FloatArray, first: int
-) -> float:
-    """The `velocity_distance` of residual (m,) = H δ[first:first + k] + n, n ~ N(0, I).
-
-    `H` (m, k); `P` (N, N).
-    """
-    m, n = H.shape
-    HP = np.empty((m, len(P)))
-    np.dot(H, P[first : first + n], HP)
-    S = np.empty((m + _VELOCITY_DOF + 1, m))
-    _innovation_covariance(HP, H, first, S)
-    for i in range(m):
-        for a in range(_VELOCITY_DOF):
-            S[m + a, i] = HP[i, _VELOCITY + a]
-        S[m + _VELOCITY_DOF, i] = residual[i]
-    factor_with_rows(S, m, _VELOCITY_DOF + 1)
-    return velocity_distance(S[m:], m)
-
-
-@reordered_part
-def _innovation_covariance(HP: FloatArray, H: FloatArray, first: int, S: FloatArray) -> None:
-    """S's first m rows become H P Hᵀ + I, from H (m, k) and H P (m, N)."""
+def innovation(P: FloatArray, H: FloatArray, first: int, HP: FloatArray, S: FloatArray) -> None:
+    """HP (m, N) = H P, and S's first m rows = H P Hᵀ + I, for H (m, k) over P[first:first + k]."""
     m, n = H.shape
     block, out = np.empty((m, n)), np.empty((m, m))
+    np.dot(H, P[first : first + n], HP)
     for i in range(m):
         for j in range(n):
             block[i, j] = HP[i, first + j]
@@ -141,36 +127,42 @@ def _innovation_covariance(HP: FloatArray, H: FloatArray, first: int, S: FloatAr
         S[i, i] += 1.0
 
 
-def kalman_update(
-    P: FloatArray, H: FloatArray, residual: FloatArray, first: int
-) -> tuple[FloatArray, FloatArray]:
-    """The error vector (N,) and the new covariance (N, N) by residual = H δ[first:first + k] + n.
+@reordered_part
+def update_if_consistent(
+    P: FloatArray,
+    HP: FloatArray,
+    S: FloatArray,
+    residual: FloatArray,
+    velocity_bound: float,
+    error: FloatArray,
+    updated: FloatArray,
+) -> bool:
+    """Update by m rows of noise 1, unless the velocity that they ask for is beyond the bound.
 
-    n ~ N(0, I); `H` (m, k), `residual` (m,), `P` (N, N). As `update.ekf_update`, but the innovation
-    covariance is formed: S = H P Hᵀ + I = L Lᵀ; W = L⁻¹ H P; the covariance becomes P - Wᵀ W.
+    `HP` (m, N), `S` (m + 4, m): see `innovation`; S is changed in place. The error vector (N,) and
+    the new covariance (N, N) are filled in; False, and they are not, beyond `velocity_bound`. As
+    `update.ekf_update`: S = L Lᵀ, W = L⁻¹ H P, the covariance becomes P - Wᵀ W.
     """
-    m, n, size = len(H), H.shape[1], len(P)
-    HP, S, inverse = np.empty((m, size)), np.empty((m, m)), np.empty((m, m))
-    np.dot(H, P[first : first + n], HP)
-    _innovation_covariance(HP, H, first, S)
-    factor_with_rows(S, m, 0)
-    inverse_factor(S, m, inverse)
-    W, change = np.empty((m, size)), np.empty((size, size))
-    np.dot(inverse, HP, W)
-    np.dot(transposed(W, m), W, change)
-    error = np.zeros(size)
+    m, n = HP.shape
     for i in range(m):
-        y = 0.0
-        for k in range(i + 1):
-            y += inverse[i, k] * residual[k]
-        for j in range(size):
-            error[j] += W[i, j] * y
-    for i in range(size):
+        for a in range(_VELOCITY_DOF):
+            S[m + a, i] = HP[i, _VELOCITY + a]
+        S[m + _VELOCITY_DOF, i] = residual[i]
+    factor_with_rows(S)
+    y = S[m + _VELOCITY_DOF]
+    if not explained_square(S[m:]) < velocity_bound:  # W for the velocity, and y = L⁻¹ r
+        return False
+    inverse, W = np.empty((m, m)), np.empty((m, n))
+    inverse_factor(S, m, inverse)
+    np.dot(inverse, HP, W)
+    np.dot(transposed(W, m), W, updated)
+    for j in range(n):
+        error[j] = 0.0
+    for i in range(m):
+        for j in range(n):
+            error[j] += W[i, j] * y[i]
+    for i in range(n):
         for j in range(i + 1):
-            value = 0.5 * (P[i, j] - change[i, j] + P[j, i] - change[j, i])
-            change[i, j], change[j, i] = value, value
-    return error, change
-
-
-_FOLDER = code_folder(Path(__file__))
-kalman_update_compiled = compiled(kalman_update, _FOLDER, reorder=True)
+            value = 0.5 * (P[i, j] - updated[i, j] + P[j, i] - updated[j, i])
+            updated[i, j], updated[j, i] = value, value
+    return True

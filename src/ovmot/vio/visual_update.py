@@ -4,6 +4,8 @@ The sets of features are those of OpenVINS: lost features, features of the clone
 and, of the latter, the longest tracks as candidates for SLAM features.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -14,8 +16,8 @@ from ovmot.settings import FilterSettings
 from ovmot.vio.msckf_features import consistent_features, triangulate_features
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
-from ovmot.vio.state import N_BASE, State, marginalize_landmarks
-from ovmot.vio.update import update_by_rows
+from ovmot.vio.state import State, marginalize_landmarks
+from ovmot.vio.update import moved
 from ovmot.vio.window_kernel import available_views_compiled, gather_views_compiled
 
 _MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
@@ -111,10 +113,13 @@ def msckf_update(
     if not consistent.weight.any():
         return state
     new = (consistent.weight > 0.0) & slam_candidate
+    error = consistent.error
     state = delayed_initialization(
-        state, consistent.points.rows(new), feature_id[valid][new], points[new], T_imu_anchor
-    )
-    return update_by_rows(state, consistent.H, consistent.residual, N_BASE)
+        replace(state, covariance=consistent.covariance), consistent.points.rows(new),
+        feature_id[valid][new], points[new], T_imu_anchor, error,
+    )  # fmt: skip
+    n_new = len(state.covariance) - len(error)
+    return moved(state, np.concatenate([error, np.zeros(n_new)]), state.covariance)
 
 
 def _update_with_slam_features(

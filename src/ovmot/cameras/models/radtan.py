@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ovmot.cameras.models.model import NEWTON_STEPS, TOLERANCE, fold_squared
+from ovmot.cameras.models.model import fold_squared
+from ovmot.cameras.models.radtan_kernel import undistort_compiled
 from ovmot.geometry.arrays import FloatArray
 
 
@@ -48,22 +49,10 @@ class RadialTangential:
         return J
 
     def undistort(self, xy_distorted: FloatArray, coefficients: FloatArray) -> FloatArray:
-        target = np.asarray(xy_distorted, dtype=np.float64)
-        xy = target.copy()
-        for _ in range(NEWTON_STEPS):
-            residual = self.distort(xy, coefficients) - target
-            if not np.nanmax(np.abs(residual), initial=0.0) > TOLERANCE:
-                break
-            J = self._jacobian_xy(xy, coefficients)
-            det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-            det = np.where(np.abs(det) < 1e-9, np.nan, det)
-            step_x = (J[..., 1, 1] * residual[..., 0] - J[..., 0, 1] * residual[..., 1]) / det
-            step_y = (J[..., 0, 0] * residual[..., 1] - J[..., 1, 0] * residual[..., 0]) / det
-            xy = xy - np.stack([step_x, step_y], axis=-1)
-        miss = np.abs(self.distort(xy, coefficients) - target).max(axis=-1, keepdims=True)
-        k1, k2, _, _, k3 = _five(coefficients)
-        inside = np.sum(xy * xy, axis=-1, keepdims=True) < fold_squared((k1, k2, k3))
-        return np.where((miss < 1e-8) & inside, xy, np.nan)
+        xy = np.ascontiguousarray(xy_distorted, dtype=np.float64)
+        five = np.array(_five(coefficients))
+        fold = fold_squared((five[0], five[1], five[4]))
+        return np.asarray(undistort_compiled(xy.reshape(-1, 2), five, fold)).reshape(xy.shape)
 
 
 def _five(coefficients: FloatArray) -> tuple[float, float, float, float, float]:
