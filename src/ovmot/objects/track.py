@@ -190,4 +190,5 @@ def update_track(
 
 def horizontal_variance(track: Track) -> float:
     """Variance of its position in one horizontal direction, m²."""
-    return 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))
+    P = track.filter.best.covariance
+    return 0.5 * float(P[0, 0] + P[1, 1])
