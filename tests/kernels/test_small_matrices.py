@@ -7,7 +7,9 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.kernels.small_matrices import (
     add_products,
     cross,
+    factor,
     invert_symmetric,
+    solve_lower,
     solve_positive,
     squared_mahalanobis,
     whiten,
@@ -64,3 +66,12 @@ def test_the_solution(rng: np.random.Generator) -> None:
     x = b.copy()
     solve_positive(np.tril(A), x)
     np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-9, atol=1e-12)
+
+
+def test_the_factor_and_its_inverse(rng: np.random.Generator) -> None:
+    A, X = positive(rng, 6), rng.normal(size=(6, 4))
+    L, white = np.tril(A), X.copy()
+    factor(L)
+    solve_lower(L, white)
+    np.testing.assert_allclose(L, np.linalg.cholesky(A), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(L @ white, X, rtol=1e-9, atol=1e-12)

@@ -70,15 +70,32 @@ def whiten(S: FloatArray, rows: FloatArray, first: int) -> None:
 
 
 @part
-def solve_positive(A: FloatArray, x: FloatArray) -> None:
-    """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
-    n = len(x)
-    for i in range(n):
+def factor(A: FloatArray) -> None:
+    """Replace the lower triangle of A (n, n), positive definite, by that of L with L Lᵀ = A."""
+    for i in range(len(A)):
         for j in range(i + 1):
             total = A[i, j]
             for k in range(j):
                 total -= A[i, k] * A[j, k]
             A[i, j] = math.sqrt(total) if i == j else total / A[j, j]
+
+
+@part
+def solve_lower(L: FloatArray, X: FloatArray) -> None:
+    """Replace X (n, k) by L⁻¹ X, L (n, n) lower triangular."""
+    for i in range(len(X)):
+        for c in range(X.shape[1]):
+            for k in range(i):
+                X[i, c] -= L[i, k] * X[k, c]
+            X[i, c] /= L[i, i]
+
+
+@part
+def solve_positive(A: FloatArray, x: FloatArray) -> None:
+    """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
+    factor(A)
+    n = len(x)
+    for i in range(n):
         for k in range(i):
             x[i] -= A[i, k] * x[k]
         x[i] /= A[i, i]

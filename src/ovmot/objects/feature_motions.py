@@ -83,7 +83,7 @@ class FeatureHistory:
             points.feature_id,
             *feature_motions_compiled(
                 points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new, self._rows,
-                1e-9 * (timestamp_ns - self._stamps), ACCEL_SIGMA_MPS2, self._p_world,
+                np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64), ACCEL_SIGMA_MPS2, self._p_world,
                 self._covariance,
             ),
         )  # fmt: skip

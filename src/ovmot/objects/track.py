@@ -7,8 +7,9 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import union
+from ovmot.objects.filter_kernel import N_STATE
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import N_STATE, ROAD_USER_AGILITY, VELOCITY
+from ovmot.objects.motion_models import ROAD_USER_AGILITY, VELOCITY
 from ovmot.objects.object_filter import (
     BodyFilter,
     Observation,
