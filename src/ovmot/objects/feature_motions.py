@@ -79,14 +79,12 @@ class FeatureHistory:
         free[place[~is_new]] = False
         place[is_new] = np.flatnonzero(free)[: np.count_nonzero(is_new)]
         self._place = place
-        self.last = FeatureMotions(
-            points.feature_id,
-            *feature_motions_compiled(
-                points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new, self._rows,
-                np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64), ACCEL_SIGMA_MPS2, self._p_world,
-                self._covariance,
-            ),
+        age_s = np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64)
+        found = feature_motions_compiled(
+            points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new, self._rows, age_s,
+            ACCEL_SIGMA_MPS2, self._p_world, self._covariance,
         )  # fmt: skip
+        self.last = FeatureMotions(points.feature_id, *found)
         return self.last
 
     def _make_room(self, timestamp_ns: int, n_features: int) -> None:
