@@ -47,7 +47,7 @@ def twin(
         uv[going] -= (warp[going] @ step[:, :2, None])[..., 0]
         near = np.linalg.norm(uv[going] - start[going], axis=1) < FAR
         correlation[going[~near]] = 0.0
-        going = going[near & (np.abs(step).max(axis=1) > SMALL)]
+        going = going[near & (np.abs(step[:, :2]).max(axis=1) > SMALL)]
     return uv, warp, correlation
 
 

@@ -7,7 +7,10 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.kernels.small_matrices import (
     add_products,
     cross,
+    eigen_symmetric,
+    factor,
     invert_symmetric,
+    solve_lower,
     solve_positive,
     squared_mahalanobis,
     whiten,
@@ -64,3 +67,23 @@ def test_the_solution(rng: np.random.Generator) -> None:
     x = b.copy()
     solve_positive(np.tril(A), x)
     np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-9, atol=1e-12)
+
+
+def test_the_factor_and_its_inverse(rng: np.random.Generator) -> None:
+    A, X = positive(rng, 6), rng.normal(size=(6, 4))
+    L, white = np.tril(A), X.copy()
+    factor(L)
+    solve_lower(L, white)
+    np.testing.assert_allclose(L, np.linalg.cholesky(A), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(L @ white, X, rtol=1e-9, atol=1e-12)
+
+
+def test_eigenvalues_and_axes(rng: np.random.Generator) -> None:
+    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    for spread in ([3.0, 1.0, 2.0], [1e4, 1e-4, 1.0], [2.0, 2.0, 2.0], [0.0, 1.0, 0.0]):
+        C = turned @ np.diag(spread) @ turned.T
+        values, axes = np.empty(3), np.empty((3, 3))
+        eigen_symmetric(C, values, axes)
+        np.testing.assert_allclose(values, np.sort(spread), rtol=1e-9, atol=1e-11 * max(spread))
+        np.testing.assert_allclose(axes @ np.diag(values) @ axes.T, C, atol=1e-11 * max(spread))
+        np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)

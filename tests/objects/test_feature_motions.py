@@ -53,8 +53,9 @@ def test_what_is_too_old_is_dropped() -> None:
 def test_distances_from_rest_and_from_a_body() -> None:
     v = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     motions = feature_motions(v, sigma=0.3)
-    index, velocity = np.array([0, 1]), np.array([2.0, 0.0, 0.0])
-    rest, body = distances_from_rest_and_body(motions, index, velocity, 0.07 * np.eye(3))
+    both, velocity = np.ones(2, dtype=np.bool_), np.array([2.0, 0.0, 0.0])
+    rest, body, off = distances_from_rest_and_body(motions, both, velocity, 0.07 * np.eye(3))
+    np.testing.assert_allclose(off, [0.0, 2.0])
     np.testing.assert_allclose(rest, [4.0 / 0.13, 0.0])
     np.testing.assert_allclose(body, [0.0, 4.0 / 0.2])
 

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray
+from ovmot.objects.measurement_kernel import known_part_compiled
 from ovmot.objects.static_motion import (
     FoundMotion,
     is_static_by_covariance,
     is_static_by_thresholds,
-    known_part,
 )
 from ovmot.settings import ObjectSettings, SegmentationSettings
 
@@ -18,8 +20,12 @@ OF_POINTS = SegmentationSettings(depth_weight=0.3)
 
 
 def _shifted(shift: list[float], points: np.ndarray = POINTS) -> FoundMotion:
-    at_rest = points - np.array(shift)
-    return FoundMotion(np.array([1.0, 0.0, 0.0]), 0.01 * np.eye(3), points, at_rest)
+    T_now_before = se3.make(np.eye(3), np.array(shift))
+    return FoundMotion(np.array([1.0, 0.0, 0.0]), 0.01 * np.eye(3), points, T_now_before, np.eye(4))
+
+
+def _found(velocity: FloatArray, covariance: FloatArray) -> FoundMotion:
+    return FoundMotion(velocity, covariance, POINTS, np.eye(4), np.eye(4))
 
 
 @pytest.mark.parametrize(("sigma", "static"), [(0.1, False), (0.3, True)])
@@ -27,7 +33,7 @@ def test_covariance_decides_by_the_share_of_noise(
     rig: StereoRig, sigma: float, static: bool
 ) -> None:
     # 1 m/s at 21.1 = 99.99 % of chi-squared with 3 degrees of freedom: 4.59 sigmas
-    motion = FoundMotion(np.array([1.0, 0.0, 0.0]), sigma**2 * np.eye(3), POINTS, POINTS)
+    motion = _found(np.array([1.0, 0.0, 0.0]), sigma**2 * np.eye(3))
     assert is_static_by_covariance(motion, rig, SETTINGS, OF_POINTS) is static
 
 
@@ -35,17 +41,13 @@ def test_directions_in_which_little_is_known_do_not_count(rig: StereoRig) -> Non
     ray = np.array([0.6, 0.0, 0.8])
     across = np.array([0.8, 0.0, -0.6])
     C = 0.1**2 * np.eye(3) + 5.0**2 * np.outer(ray, ray)
-    known, variance = known_part(40.0 * ray + 2.0 * across, C, 1.5)
+    known, variance = known_part_compiled(40.0 * ray + 2.0 * across, C, 1.5)
     assert np.linalg.norm(known) == pytest.approx(2.0)
     np.testing.assert_allclose(variance, 0.01)
-    along = FoundMotion(40.0 * ray, C, POINTS, POINTS)  # eight sigmas, that mean nothing there
+    along = _found(40.0 * ray, C)  # eight sigmas, that mean nothing there
     assert is_static_by_covariance(along, rig, SETTINGS, OF_POINTS)
-    assert not is_static_by_covariance(
-        FoundMotion(2.0 * across, C, POINTS, POINTS), rig, SETTINGS, OF_POINTS
-    )
-    assert is_static_by_covariance(
-        FoundMotion(across, 9.0 * np.eye(3), POINTS, POINTS), rig, SETTINGS, OF_POINTS
-    )
+    assert not is_static_by_covariance(_found(2.0 * across, C), rig, SETTINGS, OF_POINTS)
+    assert is_static_by_covariance(_found(across, 9.0 * np.eye(3)), rig, SETTINGS, OF_POINTS)
 
 
 def test_thresholds_want_metres_and_pixels(rig: StereoRig) -> None:

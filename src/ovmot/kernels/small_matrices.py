@@ -97,15 +97,32 @@ def invert_definite(A: FloatArray) -> None:
 
 
 @part
-def solve_positive(A: FloatArray, x: FloatArray) -> None:
-    """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
-    n = len(x)
-    for i in range(n):
+def factor(A: FloatArray) -> None:
+    """Replace the lower triangle of A (n, n), positive definite, by that of L with L Lᵀ = A."""
+    for i in range(len(A)):
         for j in range(i + 1):
             total = A[i, j]
             for k in range(j):
                 total -= A[i, k] * A[j, k]
             A[i, j] = math.sqrt(total) if i == j else total / A[j, j]
+
+
+@part
+def solve_lower(L: FloatArray, X: FloatArray) -> None:
+    """Replace X (n, k) by L⁻¹ X, L (n, n) lower triangular."""
+    for i in range(len(X)):
+        for c in range(X.shape[1]):
+            for k in range(i):
+                X[i, c] -= L[i, k] * X[k, c]
+            X[i, c] /= L[i, i]
+
+
+@part
+def solve_positive(A: FloatArray, x: FloatArray) -> None:
+    """Replace x (n,) by A⁻¹ x, A (n, n) positive definite: its lower triangle becomes L of L Lᵀ."""
+    factor(A)
+    n = len(x)
+    for i in range(n):
         for k in range(i):
             x[i] -= A[i, k] * x[k]
         x[i] /= A[i, i]
@@ -113,3 +130,50 @@ def solve_positive(A: FloatArray, x: FloatArray) -> None:
         for k in range(i + 1, n):
             x[i] -= A[k, i] * x[k]
         x[i] /= A[i, i]
+
+
+@part
+def eigen_symmetric(C: FloatArray, values: FloatArray, axes: FloatArray) -> None:
+    """Eigenvalues (3,), rising, and eigenvectors (3, 3) in columns of a symmetric matrix (3, 3).
+
+    Jacobi's rotations, until the matrix is diagonal (G. Golub, C. Van Loan, "Matrix Computations",
+    sec. 8.5).
+    """
+    A = C.copy()
+    for a in range(3):
+        for b in range(3):
+            axes[a, b] = 1.0 if a == b else 0.0
+    for _ in range(30):
+        off = abs(A[0, 1]) + abs(A[0, 2]) + abs(A[1, 2])
+        if not off > 1e-300 + 1e-17 * (abs(A[0, 0]) + abs(A[1, 1]) + abs(A[2, 2])):
+            break
+        rotate_out(A, axes, 0, 1)
+        rotate_out(A, axes, 0, 2)
+        rotate_out(A, axes, 1, 2)
+    for k in range(3):
+        values[k] = A[k, k]
+    for k in range(2):  # the least one to the front
+        for m in range(2, k, -1):
+            if values[m] < values[m - 1]:
+                values[m], values[m - 1] = values[m - 1], values[m]
+                for a in range(3):
+                    axes[a, m], axes[a, m - 1] = axes[a, m - 1], axes[a, m]
+
+
+@part
+def rotate_out(A: FloatArray, axes: FloatArray, p: int, q: int) -> None:
+    """Turn the axes (3, 3) p and q so that the element p, q of A (3, 3) becomes zero."""
+    if A[p, q] == 0.0:
+        return
+    half = 0.5 * (A[q, q] - A[p, p]) / A[p, q]
+    t = (1.0 if half >= 0.0 else -1.0) / (abs(half) + math.sqrt(half * half + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    s = t * c
+    for k in range(3):
+        x, y = A[k, p], A[k, q]
+        A[k, p], A[k, q] = c * x - s * y, s * x + c * y
+    for k in range(3):
+        x, y = A[p, k], A[q, k]
+        A[p, k], A[q, k] = c * x - s * y, s * x + c * y
+        x, y = axes[k, p], axes[k, q]
+        axes[k, p], axes[k, q] = c * x - s * y, s * x + c * y

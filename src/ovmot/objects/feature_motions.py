@@ -9,10 +9,12 @@ from math import log
 
 import numpy as np
 
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import positions
-from ovmot.geometry.triangulation import squared_distance
+from ovmot.objects.features_kernel import (
+    distances_of_velocities_compiled,
+    feature_motions_compiled,
+)
 from ovmot.physics import ACCEL_SIGMA_MPS2, gate
 from ovmot.types import ScenePoints
 
@@ -47,63 +49,56 @@ class FeatureMotions:
 
 
 class FeatureHistory:
-    """Positions of the present features over the last tenths of a second, in world."""
+    """Positions of the present features over the last tenths of a second, in world.
+
+    Each feature has its place in the memory, for as long as it is in view; frames take turns.
+    """
 
     def __init__(self) -> None:
-        self._stamps = np.empty(0, dtype=np.int64)
-        self._feature_id = np.empty(0, dtype=np.int64)
-        self._p_world = np.empty((0, 0, 3))
+        none = np.empty(0, dtype=np.int64)
+        self._stamps = none  # of the rows in use, oldest first
+        self._rows = none
+        self._place = none  # of the last frame's features
+        self._p_world = np.full((0, 0, 3), np.nan)
         self._covariance = np.empty((0, 0, 3, 3))
         nothing = np.empty((0, 3))
         self.last = FeatureMotions(
-            self._feature_id, nothing, np.empty((0, 3, 3)), nothing, np.empty((0, 3, 3)),
-            np.empty(0),
-        )  # fmt: skip
+            none, nothing, np.empty((0, 3, 3)), nothing, np.empty((0, 3, 3)), np.empty(0)
+        )
 
     def add(
         self, timestamp_ns: int, points: ScenePoints, T_world_cam0: FloatArray
     ) -> FeatureMotions:
         """Add a frame, drop those that are too old, and return the motions of its features."""
-        first = int(np.searchsorted(self._stamps, timestamp_ns - round(1e9 * _MEMORY_S)))
-        column = positions(points.feature_id, self._feature_id)
-        T, n = len(self._stamps) - first, len(column)
-        p_world, covariance = np.full((T + 1, n, 3), np.nan), np.full((T + 1, n, 3, 3), np.nan)
-        if len(self._feature_id):
-            new = column < 0
-            self._p_world[first:].take(column, axis=1, out=p_world[:T])
-            self._covariance[first:].take(column, axis=1, out=covariance[:T])
-            p_world[:T, new] = np.nan
-            covariance[:T, new] = np.nan
-        R = T_world_cam0[:3, :3]
-        p_world[T] = se3.apply(T_world_cam0, points.p_cam0)
-        covariance[T] = R @ points.cov_cam0 @ R.T
-        self._stamps = np.append(self._stamps[first:], timestamp_ns)
-        self._feature_id, self._p_world, self._covariance = points.feature_id, p_world, covariance
-        self.last = self._motions()
+        before = positions(points.feature_id, self.last.feature_id)
+        is_new = before < 0
+        self._make_room(timestamp_ns, len(before))
+        place = np.full(len(before), -1, dtype=np.int64)
+        place[~is_new] = self._place[before[~is_new]]
+        free = np.ones(len(self._p_world), dtype=np.bool_)
+        free[place[~is_new]] = False
+        place[is_new] = np.flatnonzero(free)[: np.count_nonzero(is_new)]
+        self._place = place
+        age_s = np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64)
+        found = feature_motions_compiled(
+            points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new, self._rows, age_s,
+            ACCEL_SIGMA_MPS2, self._p_world, self._covariance,
+        )  # fmt: skip
+        self.last = FeatureMotions(points.feature_id, *found)
         return self.last
 
-    def _motions(self) -> FeatureMotions:
-        """Each feature's motion since the earlier time with the least expected squared error.
-
-        The part of the positions' noise falls with the span, that of an acceleration grows.
-        """
-        n = len(self._feature_id)
-        age_s = 1e-9 * (self._stamps[-1] - self._stamps)
-        then = np.isfinite(self._p_world[..., 0]) & (age_s > 0.0)[:, None]
-        dt = np.where(then, age_s[:, None], np.nan)
-        spread = (self._covariance[-1] + self._covariance) / dt[..., None, None] ** 2
-        changed = (0.5 * ACCEL_SIGMA_MPS2 * dt) ** 2
-        error = np.where(then, np.trace(spread, axis1=2, axis2=3) + 3.0 * changed, np.inf)
-        row, columns = np.argmin(error, axis=0), np.arange(n)
-        displacement = self._p_world[-1] - self._p_world[row, columns]
-        return FeatureMotions(
-            self._feature_id,
-            self._p_world[-1],
-            self._covariance[-1],
-            displacement / dt[row, columns, None],
-            spread[row, columns] + changed[row, columns, None, None] * np.eye(3),
-            changed[row, columns],
-        )
+    def _make_room(self, timestamp_ns: int, n_features: int) -> None:
+        """A row for a new frame, and a place for each of its features."""
+        kept = self._stamps >= timestamp_ns - round(1e9 * _MEMORY_S)
+        self._stamps, self._rows = self._stamps[kept], self._rows[kept]
+        n_places, n_rows = self._p_world.shape[:2]
+        more_places, more_rows = max(n_features - n_places, 0), int(len(self._rows) == n_rows)
+        if more_places or more_rows:
+            room = ((0, 2 * more_places), (0, n_rows + 1 if more_rows else 0), (0, 0))
+            self._p_world = np.pad(self._p_world, room, constant_values=np.nan)
+            self._covariance = np.pad(self._covariance, (*room, (0, 0)))
+        row = np.setdiff1d(np.arange(self._p_world.shape[1]), self._rows)[:1]
+        self._stamps, self._rows = np.append(self._stamps, timestamp_ns), np.append(self._rows, row)
 
 
 def moving_with(
@@ -113,26 +108,22 @@ def moving_with(
 
     `velocity` (3,) of the body with its covariance (3, 3).
     """
-    with_body = np.zeros(len(candidate), dtype=np.bool_)
-    index = np.flatnonzero(candidate & motions.known)
-    if len(index) == 0:
-        return with_body
-    from_rest, from_body = distances_from_rest_and_body(motions, index, velocity, velocity_cov)
-    dv = motions.velocity[index] - velocity
-    # within the covariance of a body that is hardly known, everything around it would pass
-    near_speed = np.linalg.norm(dv, axis=1) < np.maximum(
-        _LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity))
+    from_rest, from_body, off = distances_from_rest_and_body(
+        motions, candidate, velocity, velocity_cov
     )
-    same = (from_body < gate(3, 0.99)) & near_speed
-    with_body[index] = same & (from_rest > from_body + CLEARLY)
-    return with_body
+    # within the covariance of a body that is hardly known, everything around it would pass
+    reach = max(_LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity)))
+    same = (from_body < gate(3, 0.99)) & (off < reach)
+    return np.asarray(same & (from_rest > from_body + CLEARLY))
 
 
 def distances_from_rest_and_body(
-    motions: FeatureMotions, index: IntArray, velocity: FloatArray, velocity_cov: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Squared Mahalanobis distances (K,) of features' velocities from rest and from a body's
-    velocity (3,) with its covariance (3, 3); NaN where a feature's velocity is not known."""
-    C = motions.velocity_cov[index] + SPEED_SPREAD**2 * np.eye(3)
-    v = motions.velocity[index]
-    return squared_distance(v, C), squared_distance(v - velocity, C + velocity_cov)
+    motions: FeatureMotions, chosen: BoolArray, velocity: FloatArray, velocity_cov: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Squared Mahalanobis distances (N,) of the `chosen` features' velocities from rest and from a
+    body's velocity (3,) with its covariance (3, 3), and the distance from it in m/s; infinite for
+    the others and where a feature's velocity is not known."""
+    return distances_of_velocities_compiled(
+        motions.velocity, motions.velocity_cov, chosen, np.ascontiguousarray(velocity),
+        np.ascontiguousarray(velocity_cov), SPEED_SPREAD,
+    )  # fmt: skip

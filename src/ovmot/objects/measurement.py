@@ -1,13 +1,12 @@
 """Measurements of moving rigid bodies, from the moving points of one frame; without state."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
-from ovmot.geometry import se3, so3
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.clustering import (
     MotionHistory,
@@ -18,10 +17,17 @@ from ovmot.objects.clustering import (
     same_body_velocity,
 )
 from ovmot.objects.clustering_kernel import NEIGHBOUR_RADIUS_M
+from ovmot.objects.measurement_kernel import (
+    BodyPoints,
+    BodyTwists,
+    MeasuredBodies,
+    known_part_compiled,
+    measure_bodies_compiled,
+)
 from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_kernel import Motions
 from ovmot.objects.rigid_motion import extract_motions
-from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion, known_part
+from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion
 from ovmot.physics import MAX_VEHICLE_SIZE_M, gate
 from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PoseWindow, ScenePoints
@@ -96,25 +102,24 @@ def measure_objects(
     # 4 bundle adjustment of motions and points
     index, row = found.point, found.velocity_row
     views, twist = _views_of(moving, found, window, rig)
+    T_world_cam0 = views.T_world_cam0[-1, 0]
     may_turn = _turns_observable(moving, index, views.body)
     refined = refine_bodies(
         views, twist, moving.p_cam0[index], may_turn, rig, settings, history.noise
     )
     # 5 bodies with enough inliers, with their covariances
-    members = [np.flatnonzero((views.body == k) & refined.inlier) for k in range(len(found.size))]
-    enough = [k for k, own in enumerate(members) if len(own) >= settings.min_points]
-    clones = _clones_of(history, window)[row[enough]]
-    measurements = _measurements(
-        enough, members, moving.feature_id[index], views, refined, may_turn, window, clones,
-        settings,
-    )  # fmt: skip
+    clones = _clones_of(history, window)[row]
+    measured = _measured(views, refined, window, clones, settings)
     # 6 those that move and are no part of another
-    track_of = [majority_track(moving.track_id[index[members[k]]]) for k in enough]
-    bodies = [
-        _Body(int(found.group[k]), track_id, measurement)
-        for k, track_id, measurement in zip(enough, track_of, measurements, strict=True)
-        if _moves(measurement, views.T_world_cam0[-1, 0], rig, settings, of_points)
-    ]
+    bodies = []
+    for k, own in enumerate(np.split(measured.members, np.cumsum(measured.n_members))[:-1]):
+        if len(own) >= settings.min_points and not _is_aloft(measured.middle[k], T_world_cam0):
+            body = _measurement(
+                k, own, moving.feature_id[index], views, refined, measured, may_turn, settings
+            )
+            if _moves(body, T_world_cam0, rig, settings, of_points):
+                track_id = majority_track(moving.track_id[index[own]])
+                bodies.append(_Body(int(found.group[k]), track_id, body))
     return _without_parts(bodies, settings)
 
 
@@ -125,10 +130,13 @@ def _moves(
     settings: ObjectSettings,
     of_points: SegmentationSettings,
 ) -> bool:
-    """Is a body a road user in motion: fast enough, not too high up, and not at rest?"""
-    if not _is_fast(body, settings) or _is_aloft(body, T_world_cam0):
+    """Is a body in motion: fast enough, and not at rest?"""
+    if not _is_fast(body, settings):
         return False
-    motion = _found_motion(body, se3.inverse(T_world_cam0))
+    motion = FoundMotion(
+        body.velocity, body.covariance[3:, 3:], body.p_world, body.T_now_before,
+        se3.inverse(T_world_cam0),
+    )  # fmt: skip
     return not STATIC_TESTS[settings.static_test](motion, rig, settings, of_points)
 
 
@@ -138,19 +146,19 @@ def _is_fast(body: ObjectMeasurement, settings: ObjectSettings) -> bool:
     And greater than what a drift of its patches along their rays, the unknown part, leaves in it.
     """
     v = body.velocity
-    known, _ = known_part(v, body.covariance[3:, 3:], MAX_SIGMA_MPS)
+    known, _ = known_part_compiled(v, body.covariance[3:, 3:], MAX_SIGMA_MPS)
     known_squared = float(known @ known)
     unknown_squared = max(float(v @ v) - known_squared, 0.0)
     return known_squared > max(settings.min_speed_mps**2, _LEAK**2 * unknown_squared)
 
 
-def _is_aloft(body: ObjectMeasurement, T_world_cam0: FloatArray) -> bool:
-    """Is a body higher than road users are?
+def _is_aloft(middle: FloatArray, T_world_cam0: FloatArray) -> bool:
+    """Is a body whose points have this median (3,) higher than road users are?
 
     Repeated windows that are all matched to their neighbours appear at ρ times their distance, and
     seem to move at ρ - 1 times the rig's speed, towards it: a rigid motion, but at a wrong height.
     """
-    offset = np.median(body.p_world, axis=0) - T_world_cam0[:3, 3]
+    offset = middle - T_world_cam0[:3, 3]
     slope_m = _STEEPEST * float(np.hypot(offset[0], offset[1]))
     return bool(offset[2] > MAX_VEHICLE_SIZE_M[2] + slope_m)
 
@@ -216,105 +224,53 @@ def _row_between(span_s: FloatArray, row: int) -> int:
     return int(younger[np.argmin(np.abs(span_s[younger] - 0.5 * span_s[row]))])
 
 
-def _measurements(
-    chosen: Sequence[int],
-    members: Sequence[IntArray],
+def _measured(
+    views: BodyViews,
+    refined: RefinedBodies,
+    window: PoseWindow,
+    clones: IntArray,
+    settings: ObjectSettings,
+) -> MeasuredBodies:
+    """The B bodies' measurements; `clones` (B,): their earlier poses in the window."""
+    return measure_bodies_compiled(
+        BodyPoints(
+            refined.p_world, refined.by_twist, refined.point_cov, views.body, refined.inlier
+        ),
+        BodyTwists(
+            refined.twist, refined.covariance, refined.variance_factor, views.origin,
+            views.span_s[0], clones,
+        ),
+        np.ascontiguousarray(window.T_world_imu), np.ascontiguousarray(window.covariance),
+        settings.accel_sigma_mps2, settings.min_points,
+    )  # fmt: skip
+
+
+def _measurement(
+    k: int,
+    own: IntArray,
     feature_id: IntArray,
     views: BodyViews,
     refined: RefinedBodies,
+    measured: MeasuredBodies,
     may_turn: BoolArray,
-    window: PoseWindow,
-    clone_index: IntArray,
     settings: ObjectSettings,
-) -> list[ObjectMeasurement]:
-    """The chosen K bodies; `members`: their points, `clone_index` (K,): their earlier poses."""
-    span = views.span_s[0]
-    shift = se3.make(np.eye(3), views.origin)
-    T_now_before = shift @ se3.exp(span[:, None] * refined.twist) @ se3.inverse(shift)
-    accel = (0.5 * settings.accel_sigma_mps2 * span) ** 2
+) -> ObjectMeasurement:
+    """Body k with its `own` points (n,) of those with `feature_id` (M,)."""
     prior = settings.yaw_rate_sigma_rps**2
-    boxes = [_box(refined.p_world[members[k]], refined.twist[k, 3:]) for k in chosen]
-    centres = np.array([centre for centre, _ in boxes]).reshape(-1, 3)
-    ego = _ego_covariance(centres, T_now_before[chosen], span[chosen], window, clone_index)
-    out = []
-    for k, (position, size), C_ego in zip(chosen, boxes, ego, strict=True):
-        own, omega, v_origin = members[k], refined.twist[k, :3], refined.twist[k, 3:]
-        # position changes with the twist as the mean of its points, velocity by v + ω x arm
-        J = np.zeros((6, 6))
-        J[:3] = refined.by_twist[own].mean(0)
-        J[3:, :3], J[3:, 3:] = -so3.hat(position - views.origin[k]), np.eye(3)
-        of_points = J @ refined.covariance[k] @ J.T
-        of_points[:3, :3] += refined.point_cov[own].sum(0) / len(own) ** 2
-        covariance = of_points.copy()
-        covariance[3:, 3:] += accel[k] * np.eye(3)
-        covariance = covariance + C_ego[:6, :6]
-        variance = float(refined.covariance[k, 2, 2]) if may_turn[k] else prior
-        known = variance < _YAW_KNOWN**2 * prior
-        out.append(
-            ObjectMeasurement(
-                feature_id=feature_id[own],
-                p_world=refined.p_world[own],
-                position=position,
-                velocity=v_origin + J[3:, :3] @ omega,
-                yaw_rate=float(omega[2]) if known else float("nan"),
-                T_now_before=T_now_before[k],
-                span_s=float(span[k]),
-                covariance=covariance,
-                scaled_covariance=covariance - (1.0 - refined.variance_factor[k]) * of_points,
-                yaw_rate_variance=variance + float(C_ego[6, 6]),
-                size=size,
-            )
-        )
-    return out
-
-
-def _box(p_world: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centre (3,) in world and size (3,) of the box of points (N, 3), along the velocity."""
-    speed = np.hypot(velocity[0], velocity[1])
-    c, s = velocity[:2] / speed if speed > 1e-9 else (1.0, 0.0)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    local = p_world @ R
-    low, high = local.min(0), local.max(0)
-    return R @ (0.5 * (low + high)), high - low
-
-
-def _ego_covariance(
-    p_now: FloatArray,
-    T_now_before: FloatArray,
-    span_s: FloatArray,
-    window: PoseWindow,
-    clone_index: IntArray,
-) -> FloatArray:
-    """Part (B, 7, 7) of the poses now and at clones (B,) in the covariance of position, velocity
-    and yaw rate of bodies at `p_now` (B, 3).
-
-    Points are known in the cameras' frames: δp = -R [p_imu]x δθ + δt moves the body at each time,
-    and v = (p_now - p_then) / span. Right perturbations of the poses.
-    """
-    p_then = se3.apply(se3.inverse(T_now_before), p_now)
-    span = span_s[:, None, None]
-    last = np.full_like(clone_index, len(window.timestamp_ns) - 1)
-    clone = np.stack([last, clone_index])
-    R, t = window.T_world_imu[clone, :3, :3], window.T_world_imu[clone, :3, 3]
-    p_imu = (np.swapaxes(R, -1, -2) @ (np.stack([p_now, p_then]) - t)[..., None])[..., 0]
-    J = np.zeros((len(p_now), 7, 12))  # by both poses
-    J[:, :3, :3], J[:, :3, 3:6] = -R[0] @ so3.hat(p_imu[0]), np.eye(3)
-    J[:, 3:6, :6] = J[:, :3, :6] / span
-    J[:, 3:6, 6:9], J[:, 3:6, 9:] = R[1] @ so3.hat(p_imu[1]) / span, -np.eye(3) / span
-    J[:, 6, :3], J[:, 6, 6:9] = R[0, :, 2] / span[..., 0], -R[1, :, 2] / span[..., 0]
-    pick = (6 * clone.T[..., None] + np.arange(6)).reshape(-1, 12)
-    P = window.covariance[pick[:, :, None], pick[:, None, :]]
-    return np.asarray(J @ P @ np.swapaxes(J, -1, -2))
-
-
-def _found_motion(body: ObjectMeasurement, T_cam0_world: FloatArray) -> FoundMotion:
-    """The body's points now and, had they stayed where they were, in the present left camera."""
-    before = se3.apply(se3.inverse(body.T_now_before), body.p_world)
-    return FoundMotion(
-        velocity=body.velocity,
-        covariance=body.covariance[3:, 3:],
-        moved=se3.apply(T_cam0_world, body.p_world),
-        at_rest=se3.apply(T_cam0_world, before),
+    variance = float(refined.covariance[k, 2, 2]) if may_turn[k] else prior
+    known = variance < _YAW_KNOWN**2 * prior
+    return ObjectMeasurement(
+        feature_id=feature_id[own],
+        p_world=refined.p_world[own],
+        position=measured.position[k],
+        velocity=measured.velocity[k],
+        yaw_rate=float(refined.twist[k, 2]) if known else float("nan"),
+        T_now_before=measured.T_now_before[k],
+        span_s=float(views.span_s[0, k]),
+        covariance=measured.covariance[k],
+        scaled_covariance=measured.scaled_covariance[k],
+        yaw_rate_variance=variance + float(measured.yaw_rate_variance[k]),
+        size=measured.size[k],
     )
 
 

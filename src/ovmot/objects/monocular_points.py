@@ -36,17 +36,23 @@ def with_track_depths(
     `pixel_sigma`: standard deviation of a pixel coordinate. Along the ray it is a car's length: so
     great that nothing is measured along it.
     """
-    monocular = ~np.isfinite(points.p_cam0[:, 2])
-    last = _last_positions(before, points.feature_id)
-    p_world = np.full((len(monocular), 3), np.nan)
+    monocular = np.flatnonzero(~np.isfinite(points.p_cam0[:, 2]))
+    ids = points.feature_id[monocular]
+    p_world = np.full((len(ids), 3), np.nan)
+    last = None
     for track in tracks:
         if track.state != TrackState.TENTATIVE and _moves_across(track, T_world_cam0):
-            own = monocular & contained(points.feature_id, track.feature_id)
-            moved = last[own] + track.velocity * since_s
-            p_world[own] = np.where(np.isfinite(moved), moved, track.position)
+            own = contained(ids, track.feature_id)
+            if own.any():
+                last = _last_positions(before, ids) if last is None else last
+                moved = last[own] + track.velocity * since_s
+                p_world[own] = np.where(np.isfinite(moved), moved, track.position)
+    if last is None:
+        return points
     depth = se3.apply(se3.inverse(T_world_cam0), p_world)[:, 2]
-    index = np.flatnonzero(depth > _LEAST_DEPTH_M)
-    depth, xy = depth[index], rig.cam0.normalize(points.pixels[index, :2])
+    ahead = depth > _LEAST_DEPTH_M
+    index, depth = monocular[ahead], depth[ahead]
+    xy = rig.cam0.normalize(points.pixels[index, :2])
     ray = np.column_stack([xy, np.ones(len(index))])
     across = (pixel_sigma / rig.cam0.fx * depth) ** 2
     along = CAR_SIZE_M[0] ** 2 * ray[:, :, None] * ray[:, None]

@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.objects.motion_models import (
-    MOTION_MODELS,
+from ovmot.objects.filter_kernel import (
     N_STATE,
-    POSITION,
-    VELOCITY,
-    YAW_RATE,
-    Agility,
+    Models,
+    predict_models_compiled,
+    update_model_compiled,
 )
+from ovmot.objects.motion_models import POSITION, VELOCITY, YAW_RATE, Agility
 
 _MEMORY = 0.85  # factor of past log-likelihoods, per measurement
 _UNKNOWN_YAW_RATE = 0.3  # rad/s
@@ -95,12 +94,15 @@ def observe(
 
 def predict(body: BodyFilter, timestamp_ns: int, agility: Agility) -> BodyFilter:
     """All models predicted to a time."""
-    dt = 1e-9 * (timestamp_ns - body.timestamp_ns)
-    models = {}
-    for name, estimate in body.models.items():
-        step = MOTION_MODELS[name](estimate.state, dt, agility)
-        P = step.transition @ estimate.covariance @ step.transition.T + step.noise
-        models[name] = replace(estimate, state=step.state, covariance=0.5 * (P + P.T))
+    straight, turning = body.models["constant_velocity"], body.models["constant_turn"]
+    moved = predict_models_compiled(
+        Models(straight.state, straight.covariance, turning.state, turning.covariance),
+        1e-9 * (timestamp_ns - body.timestamp_ns), agility.accel, agility.lift, agility.yaw_accel,
+    )  # fmt: skip
+    models = {
+        "constant_velocity": Estimate(moved.straight, moved.straight_cov, straight.log_likelihood),
+        "constant_turn": Estimate(moved.turning, moved.turning_cov, turning.log_likelihood),
+    }
     return BodyFilter(timestamp_ns, models)
 
 
@@ -119,21 +121,11 @@ def distance(body: BodyFilter, observation: Observation) -> float:
 
 
 def _updated(estimate: Estimate, observation: Observation) -> Estimate:
-    H, R = observation.H, observation.covariance
-    P = estimate.covariance
-    HP = H @ P
-    S = HP @ H.T + R
-    r = observation.value - H @ estimate.state
-    S_inverse = np.linalg.inv(S)
-    gain = HP.T @ S_inverse
-    A = np.eye(N_STATE) - gain @ H
-    covariance = A @ P @ A.T + gain @ R @ gain.T
-    log_likelihood = -0.5 * (float(r @ S_inverse @ r) + float(np.linalg.slogdet(S)[1]))
-    return Estimate(
-        estimate.state + gain @ r,
-        0.5 * (covariance + covariance.T),
-        _MEMORY * estimate.log_likelihood + log_likelihood,
-    )
+    state, covariance, log_likelihood = update_model_compiled(
+        estimate.state, estimate.covariance, observation.H, observation.value,
+        observation.covariance,
+    )  # fmt: skip
+    return Estimate(state, covariance, _MEMORY * estimate.log_likelihood + log_likelihood)
 
 
 def position_of(estimate: Estimate) -> FloatArray:

@@ -94,12 +94,12 @@ def _checked_for_rest(
 ) -> IntArray:
     """Labels (N,), corrected for a moving track's `own` points (N,), and for points of no track in
     its box, `in_box` (N,), by their own motions."""
-    index = np.flatnonzero(own | in_box)
     P = track.filter.best.covariance[VELOCITY, VELOCITY]
-    from_rest, from_body = distances_from_rest_and_body(motions, index, track.velocity, P)
-    of_track, static = own[index], label[index] == int(PointLabel.STATIC)
-    unclear = np.where(of_track, from_rest < from_body, static & (from_rest > from_body))
+    from_rest, from_body, _ = distances_from_rest_and_body(motions, own | in_box, track.velocity, P)
+    static = label == int(PointLabel.STATIC)
+    unclear = np.where(own, from_rest < from_body, in_box & static & (from_rest > from_body))
     out = label.copy()
-    out[index[unclear]] = int(PointLabel.UNKNOWN)
-    out[index[of_track & (from_rest + CLEARLY < from_body)]] = int(PointLabel.STATIC)
+    out[unclear] = int(PointLabel.UNKNOWN)
+    with np.errstate(invalid="ignore"):
+        out[own & (from_rest + CLEARLY < from_body)] = int(PointLabel.STATIC)
     return out

@@ -6,22 +6,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
+from ovmot.objects.measurement_kernel import known_part_compiled
 from ovmot.physics import gate
 from ovmot.settings import ObjectSettings, SegmentationSettings
 
 
 @dataclass(frozen=True, slots=True)
 class FoundMotion:
-    """A body's `velocity` (3,) in m/s with covariance (3, 3), in world, and its N points in the
-    present left camera: `moved` (N, 3), where they are, and `at_rest` (N, 3), where the ego motion
-    alone takes the refined earlier points."""
+    """A body's `velocity` (3,) in m/s with covariance (3, 3), and its N points `p_world` (N, 3).
+
+    `T_now_before` (4, 4): its motion, p_now = T p_before, and `T_cam0_world` (4, 4) of the present
+    left camera.
+    """
 
     velocity: FloatArray
     covariance: FloatArray
-    moved: FloatArray
-    at_rest: FloatArray
+    p_world: FloatArray
+    T_now_before: FloatArray
+    T_cam0_world: FloatArray
+
+    @property
+    def moved(self) -> FloatArray:
+        """Where the points (N, 3) are, in the present left camera."""
+        return se3.apply(self.T_cam0_world, self.p_world)
+
+    @property
+    def at_rest(self) -> FloatArray:
+        """Where they would be (N, 3), had they stayed where they were."""
+        return se3.apply(self.T_cam0_world @ se3.inverse(self.T_now_before), self.p_world)
 
 
 StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings, SegmentationSettings], bool]
@@ -40,24 +55,10 @@ def is_static_by_covariance(
 
     The covariance holds the points' and the poses' part.
     """
-    v, variance = known_part(motion.velocity, motion.covariance, MAX_SIGMA_MPS)
+    v, variance = known_part_compiled(motion.velocity, motion.covariance, MAX_SIGMA_MPS)
     if len(v) == 0:
         return True
     return float((v**2 / variance).sum()) < gate(len(v), 1.0 - of_points.false_alarm)
-
-
-def known_part(
-    velocity: FloatArray, covariance: FloatArray, max_sigma: float
-) -> tuple[FloatArray, FloatArray]:
-    """Components (k,) of a velocity (3,) along those principal axes of its covariance (3, 3) in
-    which it is known to `max_sigma`, and their variances (k,).
-
-    The unknown part of a far body is along the ray, where the errors of patches are not white: they
-    drift together.
-    """
-    variance, axes = np.linalg.eigh(covariance)
-    known = variance < max_sigma**2
-    return axes.T[known] @ velocity, variance[known]
 
 
 def is_static_by_thresholds(
@@ -70,15 +71,15 @@ def is_static_by_thresholds(
 
     The depth component is weighted down; of both cameras the worse one counts.
     """
-    n = len(motion.moved)
+    moved, at_rest, n = motion.moved, motion.at_rest, len(motion.p_world)
     weights = np.array([1.0, 1.0, of_points.depth_weight])
-    distance = np.linalg.norm((motion.moved - motion.at_rest) * weights, axis=1).mean()
+    distance = np.linalg.norm((moved - at_rest) * weights, axis=1).mean()
     focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
-    h_moved, _ = project_stereo(motion.moved, rig.T_cam1_cam0)
-    h_rest, _ = project_stereo(motion.at_rest, rig.T_cam1_cam0)
+    h_moved, _ = project_stereo(moved, rig.T_cam1_cam0)
+    h_rest, _ = project_stereo(at_rest, rig.T_cam1_cam0)
     off = (h_moved - h_rest) * focal
     pixels = np.maximum(np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])).mean()
-    depth = float(motion.moved[:, 2].mean())
+    depth = float(moved[:, 2].mean())
     near = distance < settings.alpha_m + settings.beta_m / n
     near_in_image = pixels < settings.gamma_px_m / depth + settings.delta_px / n
     return bool(near or near_in_image)

@@ -7,8 +7,9 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import union
+from ovmot.objects.filter_kernel import N_STATE
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import N_STATE, ROAD_USER_AGILITY, VELOCITY
+from ovmot.objects.motion_models import ROAD_USER_AGILITY, VELOCITY
 from ovmot.objects.object_filter import (
     BodyFilter,
     Observation,
@@ -190,4 +191,5 @@ def update_track(
 
 def horizontal_variance(track: Track) -> float:
     """Variance of its position in one horizontal direction, m²."""
-    return 0.5 * float(np.trace(track.filter.best.covariance[:2, :2]))
+    P = track.filter.best.covariance
+    return 0.5 * float(P[0, 0] + P[1, 1])

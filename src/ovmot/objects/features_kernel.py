@@ -1,0 +1,151 @@
+"""Compiled loops over the features of a frame: their motions, and which go with a body.
+
+tests/objects/test_features_kernel.py holds the plain NumPy twins.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.kernels.cache import code_folder, compiled, inlined_part
+from ovmot.kernels.small_matrices import squared_mahalanobis
+from ovmot.kernels.stereo import transform
+
+
+def feature_motions(
+    p_cam0: FloatArray,
+    cov_cam0: FloatArray,
+    T_world_cam0: FloatArray,
+    place: IntArray,
+    is_new: BoolArray,
+    rows: IntArray,
+    age_s: FloatArray,
+    accel_mps2: float,
+    p_kept: FloatArray,
+    cov_kept: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Each feature's motion (N,) since the earlier time with the least expected squared error.
+
+    The part of the positions' noise falls with the span, that of an acceleration grows. `p_kept`
+    (S, T, 3) and `cov_kept` (S, T, 3, 3) hold earlier positions in world, feature n in `place`
+    (N,); the present ones are added. `rows` (k,): those rows that count, oldest first, the present
+    one last, `age_s` (k,) ago. Returned are position, its covariance, velocity, its covariance, and
+    the part of a possible acceleration in that variance; NaN where not known.
+    """
+    n_features, now = len(place), rows[-1]
+    p, cov = np.empty((n_features, 3)), np.empty((n_features, 3, 3))
+    velocity, velocity_cov = np.full((n_features, 3), np.nan), np.full((n_features, 3, 3), np.nan)
+    change = np.full(n_features, np.nan)
+    for n in range(n_features):
+        s = place[n]
+        if is_new[n]:
+            p_kept[s, :, :] = np.nan
+        transform(T_world_cam0, p_cam0[n], p[n])
+        rotate_covariance(T_world_cam0, cov_cam0[n], cov[n])
+        for a in range(3):
+            p_kept[s, now, a] = p[n, a]
+            for b in range(3):
+                cov_kept[s, now, a, b] = cov[n, a, b]
+        if not math.isfinite(p[n, 0]):
+            continue
+        best, least, trace = -1, np.inf, cov[n, 0, 0] + cov[n, 1, 1] + cov[n, 2, 2]
+        for k in range(len(rows) - 1):
+            r, dt = rows[k], age_s[k]
+            if math.isfinite(p_kept[s, r, 0]):
+                C = cov_kept[s, r]
+                noise = (trace + C[0, 0] + C[1, 1] + C[2, 2]) / dt**2
+                error = noise + 3.0 * (0.5 * accel_mps2 * dt) ** 2
+                if error < least:
+                    best, least = k, error
+        if best >= 0:
+            r, dt = rows[best], age_s[best]
+            change[n] = (0.5 * accel_mps2 * dt) ** 2
+            for a in range(3):
+                velocity[n, a] = (p[n, a] - p_kept[s, r, a]) / dt
+                for b in range(3):
+                    velocity_cov[n, a, b] = (cov[n, a, b] + cov_kept[s, r, a, b]) / dt**2
+                velocity_cov[n, a, a] += change[n]
+    return p, cov, velocity, velocity_cov, change
+
+
+@inlined_part
+def rotate_covariance(T: FloatArray, C: FloatArray, out: FloatArray) -> None:
+    """out (3, 3) = R C Rᵀ, R the rotation of T (4, 4)."""
+    for a in range(3):
+        x = T[a, 0] * C[0, 0] + T[a, 1] * C[1, 0] + T[a, 2] * C[2, 0]
+        y = T[a, 0] * C[0, 1] + T[a, 1] * C[1, 1] + T[a, 2] * C[2, 1]
+        z = T[a, 0] * C[0, 2] + T[a, 1] * C[1, 2] + T[a, 2] * C[2, 2]
+        for b in range(3):
+            out[a, b] = x * T[b, 0] + y * T[b, 1] + z * T[b, 2]
+
+
+def distances_of_velocities(
+    velocity: FloatArray,
+    velocity_cov: FloatArray,
+    chosen: BoolArray,
+    of_body: FloatArray,
+    of_body_cov: FloatArray,
+    spread_mps: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Squared Mahalanobis distances (N,) of features' velocities from rest and from a body's.
+
+    Also how far from it they are, m/s; infinite for features that are not `chosen` (N,) or have no
+    velocity. `velocity` (N, 3), with covariance (N, 3, 3), those of one body differ by `spread_mps`
+    more; the body's (3,), with its covariance (3, 3).
+    """
+    n_features = len(velocity)
+    from_rest, from_body = np.full(n_features, np.inf), np.full(n_features, np.inf)
+    off, C, dv = np.full(n_features, np.inf), np.empty((3, 3)), np.empty(3)
+    for n in range(n_features):
+        if not (chosen[n] and math.isfinite(velocity[n, 0])):
+            continue
+        for a in range(3):
+            dv[a] = velocity[n, a]
+            for b in range(3):
+                C[a, b] = velocity_cov[n, a, b] + (spread_mps**2 if a == b else 0.0)
+        from_rest[n] = squared_mahalanobis(dv, C)
+        for a in range(3):
+            dv[a] -= of_body[a]
+            for b in range(3):
+                C[a, b] += of_body_cov[a, b]
+        from_body[n] = squared_mahalanobis(dv, C)
+        off[n] = math.sqrt(dv[0] ** 2 + dv[1] ** 2 + dv[2] ** 2)
+    return from_rest, from_body, off
+
+
+def points_near_boxes(
+    p: FloatArray,
+    cov: FloatArray,
+    centre: FloatArray,
+    size: FloatArray,
+    yaw: FloatArray,
+    variance: FloatArray,
+    margin_m: float,
+    sigmas: float,
+) -> BoolArray:
+    """Which points (N, 3), with covariance (N, 3, 3), are in or near boxes: (T, N).
+
+    Boxes have a centre (T, 3), size (T, 3) and heading `yaw` (T,) about z. A point is near when it
+    is nearer than the margin and some sigmas of its own variance and that of the box, `variance`
+    (T,).
+    """
+    near = np.zeros((len(centre), len(p)), np.bool_)
+    for t in range(len(centre)):
+        c, s = math.cos(yaw[t]), math.sin(yaw[t])
+        for n in range(len(p)):
+            x, y, z = p[n, 0] - centre[t, 0], p[n, 1] - centre[t, 1], p[n, 2] - centre[t, 2]
+            along = max(abs(c * x + s * y) - 0.5 * size[t, 0], 0.0)
+            across = max(abs(c * y - s * x) - 0.5 * size[t, 1], 0.0)
+            above = max(abs(z) - 0.5 * size[t, 2], 0.0)
+            sigma = math.sqrt(cov[n, 0, 0] + cov[n, 1, 1] + cov[n, 2, 2] + variance[t])
+            distance = math.sqrt(along**2 + across**2 + above**2)
+            near[t, n] = math.isfinite(x) and distance < margin_m + sigmas * sigma
+    return near
+
+
+_FOLDER = code_folder(Path(__file__))
+feature_motions_compiled = compiled(feature_motions, _FOLDER)
+distances_of_velocities_compiled = compiled(distances_of_velocities, _FOLDER)
+points_near_boxes_compiled = compiled(points_near_boxes, _FOLDER)
