@@ -48,6 +48,8 @@ class RunOptions:
         A folder of masks, or one image for each camera: nothing is taken from pixels other than 0.
     more_outputs
         Factories of further outputs; each result is given to them too.
+    threads
+        Of the odometry, 1 or 2, beside the one that reads and writes; the results are the same.
     """
 
     out: StrPath
@@ -60,6 +62,7 @@ class RunOptions:
     masks: StrPath | None = None
     more_outputs: tuple[Callable[[RunContext], Output], ...] = ()
     mask_files: tuple[StrPath | None, StrPath | None] = (None, None)
+    threads: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +117,9 @@ def run_sequence(
         )
     source = RunInput(
         name=str(sequence.root),
-        odometry=Odometry(sequence.rig, sequence.imu_noise, settings, initializer=poses),
+        odometry=Odometry(
+            sequence.rig, sequence.imu_noise, settings, initializer=poses, threads=options.threads
+        ),
         stream=stream,
         imu_noise=None if sequence.imu is None else noise_in_use(sequence.imu_noise, settings.imu),
         identity=_identity(sequence),

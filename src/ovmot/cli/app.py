@@ -135,6 +135,9 @@ def run(
     ] = False,
     first: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     last: Annotated[int | None, typer.Option(min=0, help="Last frame.")] = None,
+    threads: Annotated[
+        int, typer.Option(min=1, max=2, help="Threads of the odometry; the results are the same.")
+    ] = 2,
 ) -> None:
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
     ovmot.prepare_process()
@@ -155,8 +158,9 @@ def run(
         say(f"ovmot: warning: {warning}")
     more = () if bag is None else (_bag_output(bag, recorded, video, force),)
     options = RunOptions(
-        out, _ego_poses(ego), save_points, video, force, first, last, masks, more, given.mask_files
-    )
+        out, _ego_poses(ego), save_points, video, force, first, last, masks, more,
+        given.mask_files, threads,
+    )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     say_if_first_use()
     with (

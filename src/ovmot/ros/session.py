@@ -85,6 +85,7 @@ class Session:
         self._newest_ns: int | None = None  # frame with a result
         self._said_s = dict[str, float]()
         self.counts: Counter[str] = Counter()
+        self._arrived_s: dict[int, float] = {}  # by stamp, of frames without a result yet
         self._latency_s: deque[float] = deque(maxlen=_LATENCIES)
 
     def work_once(self) -> None:
@@ -113,17 +114,23 @@ class Session:
 
     def _do(self, batch: Batch) -> None:
         for sample in batch.imu:
-            for result in self._results(sample):
-                self._publish(result)
+            self._give(sample)
             self._publish_between(sample, batch)
         if batch.pair is not None:
             frame = decoded(batch.pair, self._settings, self._rig)
             self.counts["frames"] += 1
-            for result in self._results(frame):
-                self._publish(result)
-                self._latency_s.append(time.monotonic() - batch.pair.arrived_s)
-                self._publish_overlay(result)
+            self._arrived_s[frame.timestamp_ns] = batch.pair.arrived_s
+            self._give(frame)
             self._say_why_not_started()
+
+    def _give(self, event: Event) -> None:
+        """Give an event to the odometry, publish the results that are ready."""
+        for result in self._results(event):
+            self._publish(result)
+            arrived_s = self._arrived_s.pop(result.timestamp_ns, None)
+            if arrived_s is not None:
+                self._latency_s.append(time.monotonic() - arrived_s)
+            self._publish_overlay(result)
 
     def _begin_again(self, why: str) -> None:
         self._say(f"{why}: starting again, in a new segment")
@@ -131,6 +138,7 @@ class Session:
         self._first = self._free
         self._odometry.close()
         self._odometry = self._make_odometry()
+        self._arrived_s.clear()
         self._trails = Trails()
         self._newest_ns = None
         self._said_s.pop("start", None)

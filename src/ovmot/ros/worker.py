@@ -28,7 +28,7 @@ class Worker:
         self.intake = Intake(live, rig.time_offset_s)
         self._session = Session(
             self.intake,
-            lambda: Odometry(rig, calibration.imu_noise, settings),
+            lambda: Odometry(rig, calibration.imu_noise, settings, threads=2),
             rig,
             live,
             sink,
