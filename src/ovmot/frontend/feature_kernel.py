@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ovmot.frontend.klt_kernel import LANES, flow_there_and_back
+from ovmot.frontend.klt_kernel import LANES, MAX_ROUND_TRIP_PX, flow_there_and_back
 from ovmot.frontend.patch_kernel import SIDE, Quads, align_patch, cut_patch, make_room
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled
@@ -30,8 +30,9 @@ def find_features(
     """Where features are in another image: pixels (N, 2), warps (N, 2, 2), states (N,).
 
     First the patch is aligned from `start` (N, 2), the predicted place, and `start_warp`: that is
-    the answer beyond `sure_correlation`. Else optical flow leads from `start` to where it is
-    aligned again; below `min_correlation` the flow's answer stays, with the warp it started from.
+    the answer beyond `sure_correlation`, and beyond `min_correlation` where optical flow agrees.
+    Else flow leads from `start` to where it is aligned again; where it does not fit, the flow's
+    answer stays, with the warp it started from.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
     holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey`
@@ -46,7 +47,9 @@ def find_features(
     for n in range(n_points):
         if not (math.isfinite(start[n, 0]) and math.isfinite(start[n, 1])):
             uv[n] = points[n]
+        u0, v0, begin_u, begin_v = points[n, 0], points[n, 1], uv[n, 0], uv[n, 1]
         at = slot[n]
+        # by the patch alone, where that is sure
         correlation = align_patch(
             words, grey[at], steepest[at], inverse[at], uv[n], warp[n], patch_room,
             max_steps, small_step_px,
@@ -54,9 +57,17 @@ def find_features(
         if correlation > sure_correlation:
             state[n] = ALIGNED
             continue
-        begin = start[n] if math.isfinite(start[n, 0]) else points[n]
+        # by the patch, where flow from there stays there
+        if correlation > min_correlation:
+            u, v, ok = flow_there_and_back(
+                source, target, 1, side, room, u0, v0, uv[n, 0], uv[n, 1]
+            )
+            if ok and math.hypot(u - uv[n, 0], v - uv[n, 1]) < MAX_ROUND_TRIP_PX:
+                state[n] = ALIGNED
+                continue
+        # by flow, and by the patch from where that leads
         u, v, ok = flow_there_and_back(
-            source, target, n_levels, side, room, points[n, 0], points[n, 1], begin[0], begin[1]
+            source, target, n_levels, side, room, u0, v0, begin_u, begin_v
         )
         uv[n, 0], uv[n, 1], warp[n] = u, v, start_warp[n]
         if not ok:

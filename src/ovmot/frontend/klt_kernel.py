@@ -223,6 +223,6 @@ def flow_there_and_back(
     u, v, ok = search_flow(source, target, n_levels, side, room, u0, v0, u1, v1)
     if not ok:
         return u, v, False
-    back_levels = min(BACK_LEVELS, len(source))
+    back_levels = min(BACK_LEVELS, n_levels, len(source))
     back_u, back_v, ok = search_flow(target, source, back_levels, side, room, u, v, u0, v0)
     return u, v, ok and math.hypot(back_u - u0, back_v - v0) < MAX_ROUND_TRIP_PX
