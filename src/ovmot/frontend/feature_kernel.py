@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.frontend.klt_kernel import LANES, MAX_ROUND_TRIP_PX, flow_there_and_back
-from ovmot.frontend.patch_kernel import SIDE, Quads, align_patch, cut_patch, make_room
+from ovmot.frontend.patch_kernel import MARGIN, SIDE, Quads, align_patch, cut_patch, make_room
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled
 
@@ -32,7 +32,7 @@ def find_features(
     First the patch is aligned from `start` (N, 2), the predicted place, and `start_warp`: that is
     the answer beyond `sure_correlation`, and beyond `min_correlation` where optical flow agrees.
     Else flow leads from `start` to where it is aligned again; where it does not fit, the flow's
-    answer stays, with the warp it started from.
+    answer stays, with the warp it started from. Nothing is sought outside the image.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
     holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey`
@@ -44,10 +44,13 @@ def find_features(
     state = np.zeros(n_points, dtype=np.uint8)
     room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
     patch_room = make_room()
+    height, width = words.shape[0] - 2 * MARGIN, words.shape[1] - 2 * MARGIN
     for n in range(n_points):
         if not (math.isfinite(start[n, 0]) and math.isfinite(start[n, 1])):
             uv[n] = points[n]
         u0, v0, begin_u, begin_v = points[n, 0], points[n, 1], uv[n, 0], uv[n, 1]
+        if not (0.0 <= begin_u < width and 0.0 <= begin_v < height):
+            continue
         at = slot[n]
         # by the patch alone, where that is sure
         correlation = align_patch(

@@ -118,7 +118,10 @@ class KltTracker:
         unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])
         searched = self._search(view, static_uv, unknown, 2.0 * cell_px)
         starts = np.stack([nearby, elsewhere, searched])
-        now = recover_lost(sought, view, first, starts, static_uv, self._settings)
+        # far from the prediction only where that is wrong: most features are lost then
+        wrong = 2 * int(first.found.sum()) < len(last)
+        far = static_uv if wrong else np.full_like(static_uv, np.nan)
+        now = recover_lost(sought, view, first, starts, far, self._settings)
         xy = camera.normalize(now.uv)
         rows = np.flatnonzero(now.found & view.contains(now.uv) & np.isfinite(xy[:, 0]))
         uv, xy, slot = now.uv[rows], xy[rows], last.slot[rows]

@@ -102,8 +102,10 @@ class StereoTracker:
         # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
         first = find_features(sought, right, start, near_levels(self._settings))
-        no_other = np.empty((0, *start.shape))
-        seen = recover_lost(sought, right, first, no_other, start, self._settings)
+        # the depth of a new feature is a guess: its match may be far from the prediction
+        no_other, far = np.empty((0, *start.shape)), start.copy()
+        far[points.track_length > 0] = np.nan
+        seen = recover_lost(sought, right, first, no_other, far, self._settings)
         uv = seen.uv
         ok = seen.found & right.contains(uv)
         # epipolar gate on every pair
