@@ -145,6 +145,10 @@ class Odometry:
             self._waiting.append(event)
         while self._waiting and self._is_covered(self._waiting[0].timestamp_ns):
             self._begin(self._waiting.popleft())
+        return self.ready()
+
+    def ready(self) -> list[FrameResult]:
+        """The results that are ready, in order, without waiting. Raises what `add` raises."""
         return self._jobs.ready()
 
     def finish(self) -> list[FrameResult]:

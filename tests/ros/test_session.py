@@ -62,7 +62,10 @@ class Odometry:
     def latest(self) -> Any:
         return self.result.ego
 
-    def finish(self) -> None:
+    def ready(self) -> list[FrameResult]:
+        return []
+
+    def close(self) -> None:
         self.closed = True
 
 

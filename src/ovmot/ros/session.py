@@ -5,7 +5,7 @@ Nothing here knows a version of ROS: a `Sink` sends the messages.
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -31,7 +31,7 @@ from ovmot.ros.messages import (
 from ovmot.ros.numbering import Numbers
 from ovmot.ros.values import Published
 from ovmot.settings import LiveSettings
-from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
+from ovmot.types import FrameResult, ImuSample, StereoFrame
 
 IMU_ODOMETRY = "/ovmot/odometry/imu_rate"
 LIVE_TOPICS = {**TOPICS, IMU_ODOMETRY: "nav_msgs/Odometry"}
@@ -114,18 +114,18 @@ class Session:
 
     def _do(self, batch: Batch) -> None:
         for sample in batch.imu:
-            self._give(sample)
+            self._publish_all(self._odometry.add(sample))
             self._publish_between(sample, batch)
         if batch.pair is not None:
             frame = decoded(batch.pair, self._settings, self._rig)
             self.counts["frames"] += 1
             self._arrived_s[frame.timestamp_ns] = batch.pair.arrived_s
-            self._give(frame)
+            self._publish_all(self._odometry.add(frame))
             self._say_why_not_started()
+        self._publish_all(self._odometry.ready())
 
-    def _give(self, event: Event) -> None:
-        """Give an event to the odometry, publish the results that are ready."""
-        for result in self._results(event):
+    def _publish_all(self, results: Sequence[FrameResult]) -> None:
+        for result in self._numbered(results):
             self._publish(result)
             arrived_s = self._arrived_s.pop(result.timestamp_ns, None)
             if arrived_s is not None:
@@ -143,9 +143,9 @@ class Session:
         self._newest_ns = None
         self._said_s.pop("start", None)
 
-    def _results(self, event: Event) -> Iterator[FrameResult]:
-        """The results of an event, with segments and ids that no earlier odometry has used."""
-        for result in self._odometry.add(event):
+    def _numbered(self, results: Sequence[FrameResult]) -> Iterator[FrameResult]:
+        """The results, with segments and ids that no earlier odometry has used."""
+        for result in results:
             stamp = result.timestamp_ns
             if not np.all(np.isfinite(result.ego.T_world_imu)):
                 raise OvmotError(f"the pose at {stamp} ns is not finite")
