@@ -37,7 +37,7 @@ def twin(
     offsets = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     uv, warp = start.copy(), store.warp[slot]
     all_grey, all_steepest = store.grey[slot, :PIXELS], store.steepest[slot, :, :PIXELS]
-    correlation, going = np.zeros(len(uv)), np.arange(len(uv))
+    correlation, going, before = np.zeros(len(uv)), np.arange(len(uv)), np.zeros(len(uv))
     weight = (ROOT_WEIGHT.astype(np.float64) ** 2) / (ROOT_WEIGHT.astype(np.float64) ** 2).sum()
     for _ in range(STEPS):
         seen = sampled(image, uv[going, None] + offsets @ np.swapaxes(warp[going], 1, 2))
@@ -51,7 +51,9 @@ def twin(
         uv[going] -= (warp[going] @ step[:, :2, None])[..., 0]
         near = np.linalg.norm(uv[going] - start[going], axis=1) < FAR
         correlation[going[~near]] = 0.0
-        going = going[near & (np.abs(step[:, :2]).max(axis=1) > SMALL)]
+        size, last = np.abs(step[:, :2]).max(axis=1), before[going]
+        before[going] = size
+        going = going[near & (size > SMALL) & (size**2 > SMALL * (last - size))]
     return uv, warp, correlation
 
 

@@ -193,12 +193,13 @@ def align_patch(
     """Move `uv` (2,) and `warp` (2, 2), in place, to where a patch fits; the correlation there.
 
     `words`: the image, see `feature_kernel.pack_quads`. `grey` (PADDED,), `steepest` (6, PADDED),
-    `inverse` (6, 6) of the patch as `cut_patch` makes them. It stops after `most_steps`, by a shift
-    below `small_step`, or `SIGMA_PX` from its start: the correlation is then 0, as it is where the
-    warp is singular or leads out of the image.
+    `inverse` (6, 6) of the patch as `cut_patch` makes them. It stops after `most_steps`, where
+    the shifts still to come are below `small_step`, as they fall by one factor from step to step,
+    or `SIGMA_PX` from its start: the correlation is then 0, as it is where the warp is singular or
+    leads out of the image.
     """
     start_u, start_v = uv[0], uv[1]
-    correlation, step = 0.0, room.step
+    correlation, step, before = 0.0, room.step, 0.0
     for _ in range(most_steps):
         correlation = _compare(words, uv[0], uv[1], warp, grey, steepest, room)
         if correlation < 0.0:
@@ -208,8 +209,10 @@ def align_patch(
             return 0.0
         if not math.hypot(uv[0] - start_u, uv[1] - start_v) < SIGMA_PX:
             return 0.0
-        if max(abs(step[0]), abs(step[1])) <= small_step:
+        size = max(abs(step[0]), abs(step[1]))
+        if size <= small_step or size * size <= small_step * (before - size):
             break
+        before = size
     return correlation
 
 

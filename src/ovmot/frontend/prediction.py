@@ -1,15 +1,12 @@
 """Predicted positions of features in the image: where optical flow starts."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians_compiled
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
-
-_NEAREST = 5
-"""Neighbours in the image whose median is taken: two may be wrong."""
 
 
 def predict_pixels(
@@ -56,10 +53,9 @@ def flow_nearby(
     with np.errstate(invalid="ignore"):
         moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > least_px))
     lost = np.flatnonzero(~ok)
-    if len(moves) < _NEAREST or len(lost) == 0:
+    if len(moves) < NEAREST or len(lost) == 0:
         return start
-    _, nearest = cKDTree(uv[moves]).query(uv[lost], k=_NEAREST)
-    start[lost] = static_uv[lost] + np.median(extra[moves][nearest], axis=1)
+    start[lost] = static_uv[lost] + nearest_medians_compiled(uv[moves], extra[moves], uv[lost])
     return start
 
 
@@ -73,11 +69,11 @@ def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray
     if len(unknown) == 0:
         return depth
     out = depth.copy()
-    if len(known) < _NEAREST:
+    if len(known) < NEAREST:
         out[unknown] = default
         return out
-    _, nearest = cKDTree(uv[known]).query(uv[unknown], k=_NEAREST)
-    out[unknown] = np.median(depth[known][nearest], axis=1)
+    medians = nearest_medians_compiled(uv[known], depth[known, None], uv[unknown])
+    out[unknown] = medians[:, 0]
     return out
 
 
