@@ -57,7 +57,8 @@ def reordered_part(function: _F) -> _F:
 
 def _njit(function: _F, cache: bool, reorder: bool) -> _F:
     fastmath = {"reassoc", "contract", "nsz"} if reorder else False
-    decorate: Any = numba.njit(
+    njit: Any = numba.njit  # its stub does not know every option
+    decorate = njit(
         nogil=True, error_model="numpy", cache=cache, fastmath=fastmath, no_cfunc_wrapper=True
     )
     return cast(_F, decorate(function))
