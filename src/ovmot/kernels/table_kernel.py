@@ -57,14 +57,15 @@ def append_row(
     `pixels`, `normalized` (T, F, 4), `used` (T, F); the new row's views (n, 4) go to `column` (n,).
     """
     n_rows, n_old = used.shape
-    out = np.full((2, n_rows + 1, n_features, 4), np.nan)
-    out_used = np.zeros((n_rows + 1, n_features), dtype=np.bool_)
-    for t in range(n_rows):
-        for f in range(n_old):
-            out_used[t, f] = used[t, f]
+    out = np.empty((2, n_rows + 1, n_features, 4))
+    out_used = np.empty((n_rows + 1, n_features), dtype=np.bool_)
+    for t in range(n_rows + 1):
+        for f in range(n_features):
+            known = t < n_rows and f < n_old
+            out_used[t, f] = known and used[t, f]
             for i in range(4):
-                out[0, t, f, i] = pixels[t, f, i]
-                out[1, t, f, i] = normalized[t, f, i]
+                out[0, t, f, i] = pixels[t, f, i] if known else math.nan
+                out[1, t, f, i] = normalized[t, f, i] if known else math.nan
     for n in range(len(column)):
         for i in range(4):
             out[0, n_rows, column[n], i] = seen_pixels[n, i]
