@@ -54,12 +54,12 @@ def _times_covariance(
     n_calibration = rows.shape[1] - 10
     for i in range(m):
         at = n_calibration + _POSE * clone[i]
-        a, b, c, d, e, f = rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6], rows[i, 7], rows[i, 8]
         for j in range(len(P)):
-            out[i, j] = (
-                a * P[at, j] + b * P[at + 1, j] + c * P[at + 2, j]
-                + d * P[at + 3, j] + e * P[at + 4, j] + f * P[at + 5, j]
-            )  # fmt: skip
+            out[i, j] = 0.0
+        for k in range(_POSE):
+            h = rows[i, 3 + k]
+            for j in range(len(P)):
+                out[i, j] += h * P[at + k, j]
         for k in range(n_calibration):
             h = rows[i, 10 + k]
             for j in range(len(P)):
