@@ -9,7 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.id_sets import positions
+from ovmot.geometry.id_sets import contained, positions
+from ovmot.kernels.table_kernel import (
+    append_row_compiled,
+    live_columns_compiled,
+    select_views_compiled,
+)
 from ovmot.types import FrontendFrame, PixelNoise
 
 MAX_SHARING_ROWS = 20
@@ -127,36 +132,29 @@ def empty_table() -> FeatureTable:
 
 def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     """The table with one more row, and a column for each feature that is new in it."""
-    n_rows, n_old = table.shape
-    column = table.columns(seen.feature_id)
-    new = column < 0
-    n_new = int(np.count_nonzero(new))
-    column[new] = np.arange(n_old, n_old + n_new)
-
+    n_old = table.shape[1]
+    column = positions(seen.feature_id, table.feature_id)
+    is_new = column < 0
+    n_new = int(is_new.sum())
+    column[is_new] = n_old + np.arange(n_new)
+    pixels, normalized, used = append_row_compiled(
+        table.pixels, table.normalized, table.used, column,
+        np.ascontiguousarray(seen.pixels), np.ascontiguousarray(seen.normalized), n_old + n_new,
+    )  # fmt: skip
     track_length = np.concatenate([table.track_length, np.zeros(n_new, dtype=np.int64)])
     track_length[column] = seen.track_length
-    used = np.zeros((n_rows + 1, n_old + n_new), dtype=np.bool_)
-    used[:n_rows, :n_old] = table.used
+    none = np.zeros(n_new, dtype=np.bool_)
     return FeatureTable(
         frame_ns=np.append(table.frame_ns, seen.timestamp_ns),
         clone_ns=np.append(table.clone_ns, seen.timestamp_ns),
-        feature_id=np.concatenate([table.feature_id, seen.feature_id[new]]),
-        pixels=_with_row(table.pixels, seen.pixels, column, n_new),
-        normalized=_with_row(table.normalized, seen.normalized, column, n_new),
+        feature_id=np.concatenate([table.feature_id, seen.feature_id[is_new]]),
+        pixels=pixels,
+        normalized=normalized,
         track_length=track_length,
         used=used,
-        dynamic=np.concatenate([table.dynamic, np.zeros(n_new, dtype=np.bool_)]),
-        outlier=np.concatenate([table.outlier, np.zeros(n_new, dtype=np.bool_)]),
+        dynamic=np.concatenate([table.dynamic, none]),
+        outlier=np.concatenate([table.outlier, none]),
     )
-
-
-def _with_row(before: FloatArray, newest: FloatArray, column: IntArray, n_new: int) -> FloatArray:
-    """Values (T + 1, F + n, 4) of the rows before (T, F, 4) and of the newest (N, 4), else NaN."""
-    n_rows, n_old = before.shape[:2]
-    out = np.empty((n_rows + 1, n_old + n_new, 4))
-    out[:n_rows, :n_old], out[:n_rows, n_old:], out[n_rows] = before, np.nan, np.nan
-    out[n_rows, column] = newest
-    return out
 
 
 def mark_dynamic(table: FeatureTable, feature_id: IntArray) -> FeatureTable:
@@ -190,33 +188,22 @@ def keep_window(table: FeatureTable, clone_ns: IntArray) -> FeatureTable:
     newest first. A column lives while the newest row or an observation that no update has used
     holds it.
     """
-    rows = np.isin(table.clone_ns, clone_ns)
+    rows = contained(table.clone_ns, np.sort(clone_ns))
     sharing = np.flatnonzero(rows & (table.frame_ns != table.clone_ns))
     rows[sharing[:-MAX_SHARING_ROWS]] = False
-    table = _select_rows(table, rows)
-    fresh = table.seen & ~table.used & ~table.dynamic
-    return _select_columns(table, table.seen_now | fresh.any(axis=0))
-
-
-def _select_rows(table: FeatureTable, rows: BoolArray) -> FeatureTable:
-    return replace(
-        table,
-        frame_ns=table.frame_ns[rows],
-        clone_ns=table.clone_ns[rows],
-        pixels=table.pixels[rows],
-        normalized=table.normalized[rows],
-        used=table.used[rows],
+    row = np.flatnonzero(rows)
+    column = np.flatnonzero(live_columns_compiled(table.pixels, table.used, table.dynamic, row))
+    pixels, normalized, used = select_views_compiled(
+        table.pixels, table.normalized, table.used, row, column
     )
-
-
-def _select_columns(table: FeatureTable, columns: BoolArray) -> FeatureTable:
-    return replace(
-        table,
-        feature_id=table.feature_id[columns],
-        pixels=table.pixels.compress(columns, axis=1),
-        normalized=table.normalized.compress(columns, axis=1),
-        track_length=table.track_length[columns],
-        used=table.used[:, columns],
-        dynamic=table.dynamic[columns],
-        outlier=table.outlier[columns],
+    return FeatureTable(
+        frame_ns=table.frame_ns[row],
+        clone_ns=table.clone_ns[row],
+        feature_id=table.feature_id[column],
+        pixels=pixels,
+        normalized=normalized,
+        track_length=table.track_length[column],
+        used=used,
+        dynamic=table.dynamic[column],
+        outlier=table.outlier[column],
     )

@@ -65,7 +65,7 @@ def inlined_part(function: _F) -> _F:
 
 def _njit(function: _F, cache: bool, reorder: bool, inline: bool = False) -> _F:
     fastmath = {"reassoc", "contract", "nsz"} if reorder else False
-    njit: Any = numba.njit
+    njit: Any = numba.njit  # its stub does not know every option
     decorate = njit(
         nogil=True, error_model="numpy", cache=cache, fastmath=fastmath,
         forceinline=inline, no_cfunc_wrapper=True,

@@ -13,6 +13,7 @@ from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
 from ovmot.vio.reprojection_kernel import feature_rows
 from ovmot.vio.update_kernel import (
     factor_with_rows,
+    give_weights,
     innovation,
     nearest_first,
     update_if_consistent,
@@ -81,16 +82,15 @@ def landmark_rows(
             for j in range(n_calibration):
                 A[i, n_bearing + j] = rows[i, 10 + j]
             for j in range(_POSE):
-                A[i, n_bearing + n_calibration + _POSE * (n_clones - 1) + j] = rows[i, 3 + j]
+                A[i, n_bearing + first_landmark - _POSE + j] = rows[i, 3 + j]
+            A[i, -1] = rows[i, 9]
             for a in range(3):
                 for j in range(3):
                     at = j if j < n_bearing else k + j - size * (n_landmarks - f)
                     A[i, at] += rows[i, a] * by_value[f, a, j]
-                if anchor[f] >= 0:
-                    at = n_bearing + n_calibration + _POSE * anchor[f]
-                    for j in range(_POSE):
-                        A[i, at + j] += rows[i, a] * by_anchor[f, a, j]
-            A[i, -1] = rows[i, 9]
+                at = n_bearing + n_calibration + _POSE * anchor[f]
+                for j in range(_POSE if anchor[f] >= 0 else 0):
+                    A[i, at + j] += rows[i, a] * by_anchor[f, a, j]
         _project_out(A, m, n_bearing)
         dof[f] = max(m - n_bearing, 0)
         for i in range(dof[f]):
@@ -148,9 +148,7 @@ def update_by_landmarks(
     candidates = nearest_first(ratio, order)
     kept = candidates
     while kept >= max(min(_LEAST, candidates), 1):
-        weight[:] = 0.0
-        for k in range(kept):
-            weight[order[k]] = 1.0 / math.sqrt(max(ratio[order[k]], 1.0))
+        give_weights(ratio, order, kept, weight)
         rows, T, r = _weighted(HP, S, residual, weight, kept * m)
         if update_if_consistent(P, rows, T, r, velocity_bound, error, updated):
             return passed, weight, error, updated

@@ -21,6 +21,7 @@ from ovmot.vio.reprojection_kernel import feature_rows
 from ovmot.vio.update_kernel import (
     explained_square,
     factor_with_rows,
+    give_weights,
     innovation,
     nearest_first,
     orthonormalize_rows,
@@ -54,16 +55,17 @@ def _times_covariance(
     n_calibration = rows.shape[1] - 10
     for i in range(m):
         at = n_calibration + _POSE * clone[i]
-        a, b, c, d, e, f = rows[i, 3], rows[i, 4], rows[i, 5], rows[i, 6], rows[i, 7], rows[i, 8]
         for j in range(len(P)):
-            out[i, j] = (
-                a * P[at, j] + b * P[at + 1, j] + c * P[at + 2, j]
-                + d * P[at + 3, j] + e * P[at + 4, j] + f * P[at + 5, j]
-            )  # fmt: skip
+            out[i, j] = 0.0
+        for k in range(_POSE):
+            h = rows[i, 3 + k]
+            for j in range(len(P)):
+                out[i, j] += h * P[at + k, j]
         for k in range(n_calibration):
             h = rows[i, 10 + k]
-            for j in range(len(P)):
-                out[i, j] += h * P[k, j]
+            if h != 0.0:  # a view depends on its own camera's only
+                for j in range(len(P)):
+                    out[i, j] += h * P[k, j]
 
 
 @reordered_part
@@ -176,6 +178,17 @@ def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @reordered_part
+def _measure(
+    rows: FloatArray, clone: IntArray, m: int, P: FloatArray, R: FloatArray, E: FloatArray
+) -> float:
+    """A feature's distance by its m > 3 rows; R (3, 3) and E (3, n + 1), the point's rows."""
+    Q = np.empty((_POINT, m))
+    _point_basis(rows, Q, R)
+    _rows_in_basis(rows, clone, m, Q, E)
+    return _projected_distance(rows, clone, m, Q, P)
+
+
+@reordered_part
 def _weighted_information(
     rows: FloatArray, clone: IntArray, count: IntArray, E: FloatArray, weight: FloatArray
 ) -> FloatArray:
@@ -239,19 +252,14 @@ def update_by_features(
         )  # fmt: skip
         count[f], dof = m, m - _POINT
         if dof > 0:
-            Q = np.empty((_POINT, m))
-            _point_basis(rows[f], Q, R[f])
-            _rows_in_basis(rows[f], clone[f], m, Q, E[f])
-            distance = _projected_distance(rows[f], clone[f], m, Q, window)
+            distance = _measure(rows[f], clone[f], m, window, R[f], E[f])
             if distance < bounds[dof]:
                 ratio[f] = math.sqrt(distance / dof)
     candidates = nearest_first(ratio, order)
     weight, error, updated = np.zeros(n_features), np.zeros(len(P)), np.empty(P.shape)
     kept = candidates
     while kept >= max(min(_POINT, candidates), 1):
-        weight[:] = 0.0
-        for k in range(kept):
-            weight[order[k]] = 1.0 / math.sqrt(max(ratio[order[k]], 1.0))
+        give_weights(ratio, order, kept, weight)
         H, residual = compressed(_weighted_information(rows, clone, count, E, weight))
         HP, S = np.empty((len(H), len(P))), np.empty((len(H) + _POINT + 1, len(H)))
         innovation(P, H, first, HP, S)

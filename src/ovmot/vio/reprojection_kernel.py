@@ -42,6 +42,15 @@ def _view_rows(
 
 
 @part
+def _is_beside(lens: int, camera: FloatArray, x: float, y: float) -> bool:
+    """Is a point of the ideal image plane in the image, or close beside it?"""
+    u, v = to_pixel(lens, camera, x, y)
+    beside = _IMAGE_MARGIN * camera[10]
+    in_width = -beside <= u <= camera[10] - 1.0 + beside
+    return bool(in_width and -beside <= v <= camera[11] - 1.0 + beside)
+
+
+@part
 def feature_rows(
     p_now: FloatArray,
     p_first: FloatArray,
@@ -77,11 +86,8 @@ def feature_rows(
             transform(T_cam_imu[c], at_first, q)
             if not q[2] > 0.0:
                 continue
-            u, v = to_pixel(lens[c], camera, q[0] / q[2], q[1] / q[2])
-            beside = _IMAGE_MARGIN * camera[10]
-            inside = -beside <= u <= camera[10] - 1.0 + beside
-            inside = inside and -beside <= v <= camera[11] - 1.0 + beside
-            if not (inside and math.isfinite(r0) and math.isfinite(r1)):
+            seen = _is_beside(lens[c], camera, q[0] / q[2], q[1] / q[2])
+            if not (seen and math.isfinite(r0) and math.isfinite(r1)):
                 continue
             J[0, 0], J[0, 1], J[1, 0], J[1, 1] = pixel_jacobian(
                 lens[c], camera, q[0] / q[2], q[1] / q[2]

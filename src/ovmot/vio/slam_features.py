@@ -8,7 +8,6 @@ as those of an MSCKF feature do.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ovmot.cameras.lens_kernel import packed_cameras
 from ovmot.cameras.rig import StereoRig
@@ -136,9 +135,14 @@ def delayed_initialization(
     P = state.covariance
     cross = G @ P[columns]
     own = cross[:, columns] @ G.T
-    own += block_diag(*(A_inverse @ np.swapaxes(A_inverse, -1, -2)))
+    k = np.arange(n)
+    blocks = own.reshape(n, size, n, size)  # a view
+    blocks[k, :, k] += A_inverse @ np.swapaxes(A_inverse, -1, -2)
     new = new.plus((A_inverse @ residual[..., None]).ravel() + G @ error[columns])
-    covariance = np.block([[P, cross.T], [cross, 0.5 * (own + own.T)]])
+    at = len(P)
+    covariance = np.empty((at + n * size, at + n * size))
+    covariance[:at, :at], covariance[at:, at:] = P, 0.5 * (own + own.T)
+    covariance[at:, :at], covariance[:at, at:] = cross, cross.T
     return replace(state, landmarks=state.landmarks.append(new), covariance=covariance)
 
 

@@ -57,30 +57,29 @@ def _system(
     point: FloatArray, xy: FloatArray, T: FloatArray, n: int, N: FloatArray, g: FloatArray
 ) -> float:
     """Squared error, upper normal matrix N (3, 3) and gradient g (3,) at (alpha, beta, rho)."""
-    cost, J = 0.0, np.empty((2, 3))
+    cost, J, h = 0.0, np.empty((2, 3)), np.empty(3)
     for i in range(3):
         g[i] = 0.0
         for j in range(3):
             N[i, j] = 0.0
     for v in range(n):
         V = T[v]
-        x = V[0, 0] * point[0] + V[0, 1] * point[1] + V[0, 2] + V[0, 3] * point[2]
-        y = V[1, 0] * point[0] + V[1, 1] * point[1] + V[1, 2] + V[1, 3] * point[2]
-        z = V[2, 0] * point[0] + V[2, 1] * point[1] + V[2, 2] + V[2, 3] * point[2]
-        if z < 1e-6:  # behind the camera
-            x, y, z = 0.0, 0.0, 1.0
+        for i in range(3):
+            h[i] = V[i, 0] * point[0] + V[i, 1] * point[1] + V[i, 2] + V[i, 3] * point[2]
+        if h[2] < 1e-6:  # behind the camera
+            h[0], h[1], h[2] = 0.0, 0.0, 1.0
             cost += 1e3
-        x, y = x / z, y / z
-        rx, ry = xy[v, 0] - x, xy[v, 1] - y
-        cost += rx * rx + ry * ry
-        for i in range(3):
-            k = 3 if i == 2 else i
-            J[0, i] = (V[0, k] - x * V[2, k]) / z
-            J[1, i] = (V[1, k] - y * V[2, k]) / z
-        for i in range(3):
-            g[i] += J[0, i] * rx + J[1, i] * ry
-            for j in range(i, 3):
-                N[i, j] += J[0, i] * J[0, j] + J[1, i] * J[1, j]
+        for a in range(2):
+            place = h[a] / h[2]
+            r = xy[v, a] - place
+            cost += r * r
+            for i in range(3):
+                k = 3 if i == 2 else i
+                J[a, i] = (V[a, k] - place * V[2, k]) / h[2]
+                g[i] += J[a, i] * r
+            for i in range(3):
+                for j in range(i, 3):
+                    N[i, j] += J[a, i] * J[a, j]
     return cost
 
 
@@ -158,12 +157,11 @@ def _triangulate(
     point[2] = 1.0 / (depth if depth > depth_range[0] else depth_range[0])
     cost = _refine(point, xy, relative, n, 1.0 / depth_range[2])
     depth = 1.0 / max(point[2], 1.0 / depth_range[2])
-    R = T[anchor]
-    x = point[0] * depth - R[0, 3]
-    y = point[1] * depth - R[1, 3]
-    z = depth - R[2, 3]
+    point[2] = 1.0
     for i in range(3):
-        p[i] = R[0, i] * x + R[1, i] * y + R[2, i] * z
+        p[i] = 0.0
+        for k in range(3):
+            p[i] += T[anchor, k, i] * (depth * point[k] - T[anchor, k, 3])
     in_range = depth_range[0] < depth < depth_range[1]
     return bool(in_range and cost / (2.0 * n) < (5.0 * sigma) ** 2)
 

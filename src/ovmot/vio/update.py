@@ -1,4 +1,4 @@
-"""The one place where a measurement changes the covariance."""
+"""Updates of the state by a measurement. Those by features are compiled: `update_kernel`."""
 
 from dataclasses import replace
 

@@ -64,6 +64,15 @@ def nearest_first(size: FloatArray, order: IntArray) -> int:
     return n
 
 
+@part
+def give_weights(size: FloatArray, order: IntArray, count: int, weight: FloatArray) -> None:
+    """Huber's weights (F,) of the `count` first in `order` (F,), by their sizes; 0 for others."""
+    for f in range(len(weight)):
+        weight[f] = 0.0
+    for k in range(count):
+        weight[order[k]] = 1.0 / math.sqrt(max(size[order[k]], 1.0))
+
+
 @reordered_part
 def orthonormalize_rows(A: FloatArray) -> None:
     """Make A's rows orthonormal, in place, by Gram-Schmidt, each row twice.

@@ -12,13 +12,13 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, mark_used
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained, positions
+from ovmot.kernels.table_kernel import available_views_compiled, gather_views_compiled
 from ovmot.settings import FilterSettings
 from ovmot.vio.msckf_features import consistent_features, triangulate_features
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
 from ovmot.vio.state import State, marginalize_landmarks
 from ovmot.vio.update import moved
-from ovmot.vio.window_kernel import available_views_compiled, gather_views_compiled
 
 _MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
 _MAX_REJECTIONS = 3  # in a row, after which a SLAM feature is marginalized
