@@ -96,14 +96,13 @@ def moving_points(
     their last rows alone, without the `n_old` first ones: a car that brakes was faster before.
     """
     n_rows, n = len(ego.span_s), len(candidate)
-    out = MovingPoints(
-        np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3, 3)),
-        np.full((n_rows, n, 3), np.nan), np.zeros((n_rows, n, 4, 4)), np.zeros((n_rows, n, 3, 3)),
-    )  # fmt: skip
+    point, velocity, velocity_cov = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3, 3))
+    predicted, weight = np.empty((n, n_rows, 3)), np.empty((n, n_rows, 4, 4))
+    information = np.empty((n, n_rows, 3, 3))
     count, s, J_now = 0, new_scratch(), np.empty((4, 3))
     for k in range(n):
-        point, v, C = candidate[k], out.velocity[count], out.velocity_cov[count]
-        project(pairs.p_now[point], noise.T_cam1_cam0, s.h, J_now)
+        v, C = velocity[count], velocity_cov[count]
+        project(pairs.p_now[candidate[k]], noise.T_cam1_cam0, s.h, J_now)
         first, steady = 0, False
         for step in range(3):  # all rows; the last ones; the weights of those that were used
             if step == 1:
@@ -112,51 +111,76 @@ def moving_points(
                 first = n_old
             if step == 2 and not (steady and squared_mahalanobis(v, C) > moves):
                 break
-            rows = add_rows(pairs, ego, noise, point, first, J_now, accel_mps2, step, count, s, out)
+            s.products[:, :] = 0.0
+            rows = 0
+            for row in range(n_rows):
+                rows += add_row(
+                    pairs, ego, noise, row, candidate[k], row >= first, J_now, accel_mps2, step, s,
+                    predicted[count], weight[count], information[count],
+                )  # fmt: skip
             if step < 2:
                 steady = fit_velocity(s, v, C) < bound[rows]
             else:
-                out.point[count] = point
+                point[count] = candidate[k]
                 count += 1
-    return MovingPoints(
-        out.point[:count], out.velocity[:count], out.velocity_cov[:count],
-        out.predicted[:, :count].copy(), out.weight[:, :count].copy(),
-        out.information[:, :count].copy(),
+    out = MovingPoints(
+        point[:count], velocity[:count], velocity_cov[:count], np.empty((n_rows, count, 3)),
+        np.empty((n_rows, count, 4, 4)), np.empty((n_rows, count, 3, 3)),
     )  # fmt: skip
+    put_by_row(predicted, weight, information, out)
+    return out
 
 
 @inlined_part
-def add_rows(
-    pairs: Pairs, ego: EgoMotion, noise: StereoNoise, point: int, first: int, J_now: FloatArray,
-    accel_mps2: float, step: int, place: int, s: Scratch, out: MovingPoints,
-) -> int:  # fmt: skip
-    """The rows from the `first` one on that exist, their normal equations added up in `products`.
+def put_by_row(
+    predicted: FloatArray, weight: FloatArray, information: FloatArray, out: MovingPoints
+) -> None:
+    """Put what was found point by point, (M, L, ...), into the arrays (L, M, ...)."""
+    for row in range(len(out.weight)):
+        for k in range(len(out.point)):
+            for a in range(4):
+                for b in range(4):
+                    out.weight[row, k, a, b] = weight[k, row, a, b]
+                    if a < 3 and b < 3:
+                        out.information[row, k, a, b] = information[k, row, a, b]
+                if a < 3:
+                    out.predicted[row, k, a] = predicted[k, row, a]
 
-    In the last step the predictions and weights are put in their `place`.
+
+@inlined_part
+def add_row(
+    pairs: Pairs, ego: EgoMotion, noise: StereoNoise, row: int, n: int, used: bool,
+    J_now: FloatArray, accel_mps2: float, step: int, s: Scratch, predicted: FloatArray,
+    weight: FloatArray, information: FloatArray,
+) -> int:  # fmt: skip
+    """One row's part of the normal equations of point n; 0 where there is none, else 1.
+
+    In the last step its prediction, weight and information are put in their places instead.
     """
-    rows = 0
-    s.products[:, :] = 0.0
-    for row in range(len(ego.span_s)):
-        if not predict_point(pairs, ego, row, point, s):
-            continue
-        if step == 2:
-            for a in range(3):
-                out.predicted[row, place, a] = s.predicted[a]
-        if row < first:
-            continue
-        rows += 1
-        spread_point(pairs, ego, noise, row, point, s)
-        image_covariance(pairs, noise, row, point, J_now, s.C, s.S)
-        if step == 2:
-            identity_rows(s)
-        else:
-            widen(s.S, s.D, (0.5 * accel_mps2 * ego.span_s[row] ** 2) ** 2)
-            motion_rows(ego.span_s[row], s)
-        whiten(s.S, s.rows, 0)
+    there = predict_point(pairs, ego, row, n, s)
+    if step == 2:
+        for a in range(3):
+            predicted[row, a] = s.predicted[a] if there else np.nan
+        for i in range(4):
+            for j in range(4):
+                weight[row, i, j] = 0.0
+                if i < 3 and j < 3:
+                    information[row, i, j] = 0.0
+    if not (there and used):
+        return 0
+    spread_point(pairs, ego, noise, row, n, s)
+    image_covariance(pairs, noise, row, n, J_now, s.C, s.S)
+    if step == 2:
+        identity_rows(s)
+    else:
+        widen(s.S, s.D, (0.5 * accel_mps2 * ego.span_s[row] ** 2) ** 2)
+        motion_rows(ego.span_s[row], s)
+    whiten(s.S, s.rows, s.rows.shape[1])
+    if step == 2:
+        weigh(s, weight[row], information[row])
+    else:
         add_products(s.rows, s.products)
-        if step == 2:
-            weigh(row, place, s, out)
-    return rows
+    return 1
 
 
 @inlined_part
@@ -168,24 +192,17 @@ def identity_rows(s: Scratch) -> None:
 
 
 @inlined_part
-def weigh(row: int, k: int, s: Scratch, out: MovingPoints) -> None:
-    """The weight S⁻¹, which is in `products`, and the information Dᵀ S⁻¹ D of point k.
-
-    `products` is zero again.
-    """
-    weight, information, D = out.weight[row, k], out.information[row, k], s.D
-    for i in range(4):
-        for j in range(4):
-            weight[i, j] = s.products[i, j]
-            s.products[i, j] = 0.0
+def weigh(s: Scratch, weight: FloatArray, information: FloatArray) -> None:
+    """The weight S⁻¹ = L⁻ᵀ L⁻¹ of the whitened rows L⁻¹, and the information Dᵀ S⁻¹ D."""
+    add_products(s.rows, weight)
     for i in range(4):
         for a in range(3):
             WD = (
-                weight[i, 0] * D[0, a] + weight[i, 1] * D[1, a]
-                + weight[i, 2] * D[2, a] + weight[i, 3] * D[3, a]
+                weight[i, 0] * s.D[0, a] + weight[i, 1] * s.D[1, a]
+                + weight[i, 2] * s.D[2, a] + weight[i, 3] * s.D[3, a]
             )  # fmt: skip
             for b in range(3):
-                information[a, b] += WD * D[i, b]
+                information[a, b] += WD * s.D[i, b]
 
 
 _FOLDER = code_folder(Path(__file__))

@@ -135,7 +135,7 @@ def extract_motions(
                 tolerance.accel_mps2,
             )  # fmt: skip
             n_found += 1
-            n = without(remaining, n, of_row, inlier, m)
+            n = without(remaining[:n], of_row[:m], inlier)
     return Motions(
         out.point[:n_points], out.size[:n_found], out.group[:n_found], out.row[:n_found],
         out.T_now_then[:n_found], out.velocity_row[:n_found],
@@ -143,11 +143,11 @@ def extract_motions(
 
 
 @part
-def without(remaining: IntArray, n: int, of_row: IntArray, inlier: BoolArray, m: int) -> int:
-    """How many of the n points remain without the inliers among the m of the row, in order."""
+def without(remaining: IntArray, of_row: IntArray, inlier: BoolArray) -> int:
+    """How many of the points remain, in order, without the inliers among those of the row."""
     kept, k = 0, 0
-    for r in range(n):
-        if k < m and of_row[k] == remaining[r]:
+    for r in range(len(remaining)):
+        if k < len(of_row) and of_row[k] == remaining[r]:
             k += 1
             if inlier[k - 1]:
                 continue
