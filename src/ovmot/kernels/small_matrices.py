@@ -46,8 +46,9 @@ def add_products(rows: FloatArray, out: FloatArray) -> None:
     """Add rowsᵀ rows (k, k) of rows (4, k)."""
     for a in range(rows.shape[1]):
         for b in range(rows.shape[1]):
-            for i in range(4):
-                out[a, b] += rows[i, a] * rows[i, b]
+            total = rows[0, a] * rows[0, b] + rows[1, a] * rows[1, b]
+            total += rows[2, a] * rows[2, b] + rows[3, a] * rows[3, b]
+            out[a, b] += total
 
 
 @inlined_part
@@ -64,9 +65,10 @@ def whiten(S: FloatArray, rows: FloatArray, n_columns: int) -> None:
             S[i, j] = 1.0 / math.sqrt(total) if i == j else total * S[j, j]
     for c in range(n_columns):
         for i in range(4):
+            total = rows[i, c]
             for k in range(i):
-                rows[i, c] -= S[i, k] * rows[k, c]
-            rows[i, c] *= S[i, i]
+                total -= S[i, k] * rows[k, c]
+            rows[i, c] = total * S[i, i]
 
 
 @part

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, inlined_part
+from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import add_products, squared_mahalanobis, whiten
 from ovmot.kernels.stereo import project, transform
 from ovmot.segmentation.comparison_kernel import (
@@ -41,6 +41,20 @@ class MovingPoints(NamedTuple):
     predicted: FloatArray
     weight: FloatArray
     information: FloatArray
+
+
+class Rows(NamedTuple):
+    """Comparisons of one point with L earlier rows: which are `there` (L,), and what they show.
+
+    `residual` (L, 4), its derivative `D` (L, 4, 3) by the displacement and its covariance `S`
+    (L, 4, 4) at the present place, the lower triangle; `J_now` (4, 3): of the views by the point.
+    """
+
+    there: BoolArray
+    residual: FloatArray
+    D: FloatArray
+    S: FloatArray
+    J_now: FloatArray
 
 
 def points_to_look_at(
@@ -99,11 +113,11 @@ def moving_points(
     point, velocity, velocity_cov = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3, 3))
     predicted, weight = np.empty((n, n_rows, 3)), np.empty((n, n_rows, 4, 4))
     information = np.empty((n, n_rows, 3, 3))
-    count, s, J_now = 0, new_scratch(), np.empty((4, 3))
+    count, s, rows = 0, new_scratch(), new_rows(n_rows)
     for k in range(n):
-        v, C = velocity[count], velocity_cov[count]
-        project(pairs.p_now[candidate[k]], noise.T_cam1_cam0, s.h, J_now)
-        first, steady = 0, False
+        v, C, first, steady = velocity[count], velocity_cov[count], 0, False
+        p, W, N = predicted[count], weight[count], information[count]
+        compare_rows(pairs, ego, noise, candidate[k], s, rows, p)
         for step in range(3):  # all rows; the last ones; the weights of those that were used
             if step == 1:
                 if steady or not has_track[k]:
@@ -111,15 +125,14 @@ def moving_points(
                 first = n_old
             if step == 2 and not (steady and squared_mahalanobis(v, C) > moves):
                 break
-            s.products[:, :] = 0.0
-            rows = 0
+            clear(s.products, W, N, step)
+            used = 0
             for row in range(n_rows):
-                rows += add_row(
-                    pairs, ego, noise, row, candidate[k], row >= first, J_now, accel_mps2, step, s,
-                    predicted[count], weight[count], information[count],
-                )  # fmt: skip
+                if rows.there[row] and row >= first:
+                    used += 1
+                    add_row(row, ego.span_s[row], accel_mps2, step, s, rows, W, N)
             if step < 2:
-                steady = fit_velocity(s, v, C) < bound[rows]
+                steady = fit_velocity(s, v, C) < bound[used]
             else:
                 point[count] = candidate[k]
                 count += 1
@@ -147,40 +160,73 @@ def put_by_row(
                     out.predicted[row, k, a] = predicted[k, row, a]
 
 
+@part
+def new_rows(n_rows: int) -> Rows:
+    """Memory of one point's comparisons."""
+    return Rows(
+        np.empty(n_rows, np.bool_), np.empty((n_rows, 4)), np.empty((n_rows, 4, 3)),
+        np.empty((n_rows, 4, 4)), np.empty((4, 3)),
+    )  # fmt: skip
+
+
+@inlined_part
+def compare_rows(
+    pairs: Pairs, ego: EgoMotion, noise: StereoNoise, n: int, s: Scratch, rows: Rows,
+    predicted: FloatArray,
+) -> None:  # fmt: skip
+    """Compare point n with its earlier rows, at its present place; `predicted` (L, 3) is filled."""
+    project(pairs.p_now[n], noise.T_cam1_cam0, s.h, rows.J_now)
+    for row in range(len(ego.span_s)):
+        rows.there[row] = predict_point(pairs, ego, row, n, s)
+        for a in range(3):
+            predicted[row, a] = s.predicted[a] if rows.there[row] else np.nan
+        if rows.there[row]:
+            spread_point(pairs, ego, noise, row, n, s)
+            image_covariance(pairs, noise, row, n, rows.J_now, s.C, s.S)
+            for i in range(4):
+                rows.residual[row, i] = s.residual[i]
+                for j in range(4):
+                    rows.S[row, i, j] = s.S[i, j]
+                    if j < 3:
+                        rows.D[row, i, j] = s.D[i, j]
+
+
+@inlined_part
+def clear(products: FloatArray, weight: FloatArray, information: FloatArray, step: int) -> None:
+    """Zero the sums, and in the last step the weights and information of all rows."""
+    for i in range(4):
+        for j in range(4):
+            products[i, j] = 0.0
+    if step == 2:
+        weight[:, :, :] = 0.0
+        information[:, :, :] = 0.0
+
+
 @inlined_part
 def add_row(
-    pairs: Pairs, ego: EgoMotion, noise: StereoNoise, row: int, n: int, used: bool,
-    J_now: FloatArray, accel_mps2: float, step: int, s: Scratch, predicted: FloatArray,
+    row: int, span_s: float, accel_mps2: float, step: int, s: Scratch, rows: Rows,
     weight: FloatArray, information: FloatArray,
-) -> int:  # fmt: skip
-    """One row's part of the normal equations of point n; 0 where there is none, else 1.
+) -> None:  # fmt: skip
+    """One row's part of the normal equations of a point.
 
-    In the last step its prediction, weight and information are put in their places instead.
+    In the last step its weight and information, (L, 4, 4) and (L, 3, 3), are filled instead.
     """
-    there = predict_point(pairs, ego, row, n, s)
-    if step == 2:
-        for a in range(3):
-            predicted[row, a] = s.predicted[a] if there else np.nan
-        for i in range(4):
-            for j in range(4):
-                weight[row, i, j] = 0.0
-                if i < 3 and j < 3:
-                    information[row, i, j] = 0.0
-    if not (there and used):
-        return 0
-    spread_point(pairs, ego, noise, row, n, s)
-    image_covariance(pairs, noise, row, n, J_now, s.C, s.S)
+    for i in range(4):
+        s.residual[i] = rows.residual[row, i]
+        for j in range(4):
+            s.S[i, j] = rows.S[row, i, j]
+            if j < 3:
+                s.D[i, j] = rows.D[row, i, j]
     if step == 2:
         identity_rows(s)
     else:
-        widen(s.S, s.D, (0.5 * accel_mps2 * ego.span_s[row] ** 2) ** 2)
-        motion_rows(ego.span_s[row], s)
+        widen(s.S, s.D, (0.5 * accel_mps2 * span_s**2) ** 2)
+        motion_rows(span_s, s)
     whiten(s.S, s.rows, s.rows.shape[1])
     if step == 2:
         weigh(s, weight[row], information[row])
     else:
         add_products(s.rows, s.products)
-    return 1
 
 
 @inlined_part

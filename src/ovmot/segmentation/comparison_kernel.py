@@ -167,8 +167,6 @@ def no_comparison(n_points: int) -> Rest:
 @inlined_part
 def predict_point(pairs: Pairs, ego: EgoMotion, row: int, n: int, s: Scratch) -> bool:
     """Where point n of an earlier row is now, if it is static; False where that is nowhere."""
-    if not math.isfinite(pairs.p_then[row, n, 2]):
-        return False
     transform(ego.T_now_then[row], pairs.p_then[row, n], s.predicted)
     return bool(s.predicted[2] > _LEAST_DEPTH)
 
