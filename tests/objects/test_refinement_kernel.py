@@ -60,7 +60,7 @@ def rows_of(point: FloatArray, twist: FloatArray, s: WeightedViews, v: int, n: i
     b = s.body[n]
     C, J, rows = np.empty((3, 4)), np.empty((6, 3)), np.empty((4, 10))
     through_body(s.span_s[v, b] * twist[b], s.into_view[v, b], C, J)
-    view_rows(point[n], C, J, s.span_s[v, b], v, n, s, rows)
+    view_rows(point[n], C, J, s.span_s[v, b], v, n, s, np.empty((3, 10)), rows)
     return rows
 
 

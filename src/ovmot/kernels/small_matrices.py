@@ -46,13 +46,14 @@ def add_products(rows: FloatArray, out: FloatArray) -> None:
     """Add rowsᵀ rows (k, k) of rows (4, k)."""
     for a in range(rows.shape[1]):
         for b in range(rows.shape[1]):
-            for i in range(4):
-                out[a, b] += rows[i, a] * rows[i, b]
+            total = rows[0, a] * rows[0, b] + rows[1, a] * rows[1, b]
+            total += rows[2, a] * rows[2, b] + rows[3, a] * rows[3, b]
+            out[a, b] += total
 
 
 @inlined_part
-def whiten(S: FloatArray, rows: FloatArray, first: int) -> None:
-    """Replace S (4, 4) by its Cholesky factor L, and rows (4, k) from column `first` by L⁻¹ rows.
+def whiten(S: FloatArray, rows: FloatArray, n_columns: int) -> None:
+    """Replace S (4, 4) by its Cholesky factor L, and the first columns of rows (4, k) by L⁻¹ rows.
 
     The lower triangle of S counts, and its diagonal becomes that of 1/L.
     """
@@ -62,11 +63,12 @@ def whiten(S: FloatArray, rows: FloatArray, first: int) -> None:
             for k in range(j):
                 total -= S[i, k] * S[j, k]
             S[i, j] = 1.0 / math.sqrt(total) if i == j else total * S[j, j]
-    for c in range(first, rows.shape[1]):
+    for c in range(n_columns):
         for i in range(4):
+            total = rows[i, c]
             for k in range(i):
-                rows[i, c] -= S[i, k] * rows[k, c]
-            rows[i, c] *= S[i, i]
+                total -= S[i, k] * rows[k, c]
+            rows[i, c] = total * S[i, i]
 
 
 @part
@@ -147,9 +149,9 @@ def eigen_symmetric(C: FloatArray, values: FloatArray, axes: FloatArray) -> None
         off = abs(A[0, 1]) + abs(A[0, 2]) + abs(A[1, 2])
         if not off > 1e-300 + 1e-17 * (abs(A[0, 0]) + abs(A[1, 1]) + abs(A[2, 2])):
             break
-        rotate_out(A, axes, 0, 1)
-        rotate_out(A, axes, 0, 2)
-        rotate_out(A, axes, 1, 2)
+        for p in range(2):
+            for q in range(p + 1, 3):
+                rotate_out(A, axes, p, q)
     for k in range(3):
         values[k] = A[k, k]
     for k in range(2):  # the least one to the front

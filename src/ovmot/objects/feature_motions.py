@@ -97,8 +97,10 @@ class FeatureHistory:
             room = ((0, 2 * more_places), (0, n_rows + 1 if more_rows else 0), (0, 0))
             self._p_world = np.pad(self._p_world, room, constant_values=np.nan)
             self._covariance = np.pad(self._covariance, (*room, (0, 0)))
-        row = np.setdiff1d(np.arange(self._p_world.shape[1]), self._rows)[:1]
-        self._stamps, self._rows = np.append(self._stamps, timestamp_ns), np.append(self._rows, row)
+        free = np.ones(self._p_world.shape[1], dtype=np.bool_)
+        free[self._rows] = False
+        self._stamps = np.append(self._stamps, timestamp_ns)
+        self._rows = np.append(self._rows, np.argmax(free))
 
 
 def moving_with(

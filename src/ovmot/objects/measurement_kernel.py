@@ -146,7 +146,9 @@ def by_twist(
     The position changes with the twist as the mean of its points, the velocity by v + ω x arm.
     """
     xi, n = bodies.twist[b], len(own)
-    x, y, z = out.position[b] - bodies.origin[b]
+    x = out.position[b, 0] - bodies.origin[b, 0]
+    y = out.position[b, 1] - bodies.origin[b, 1]
+    z = out.position[b, 2] - bodies.origin[b, 2]
     for i in range(3):
         for a in range(6):
             J[i, a], J[3 + i, a] = 0.0, 1.0 if a == 3 + i else 0.0
@@ -184,8 +186,9 @@ def add_ego_part(
     for a in range(3):
         for k in range(3):
             then[a] += T[k, a] * (now[k] - T[k, 3])
-    by_pose(T_world_imu[last], now, 1.0 / span_s, 0, J)
-    by_pose(T_world_imu[clone], then, -1.0 / span_s, 6, J)
+    for time in range(2):
+        pose, p, sign = (last, now, 1.0) if time == 0 else (clone, then, -1.0)
+        by_pose(T_world_imu[pose], p, sign / span_s, 6 * time, J)
     for i in range(3):
         for c in range(6):
             J[i, c] = J[3 + i, c] * span_s

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, inlined_part
+from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import add_products, squared_mahalanobis, whiten
 from ovmot.kernels.stereo import project, transform
 from ovmot.segmentation.comparison_kernel import (
@@ -41,6 +41,20 @@ class MovingPoints(NamedTuple):
     predicted: FloatArray
     weight: FloatArray
     information: FloatArray
+
+
+class Rows(NamedTuple):
+    """Comparisons of one point with L earlier rows: which are `there` (L,), and what they show.
+
+    `residual` (L, 4), its derivative `D` (L, 4, 3) by the displacement and its covariance `S`
+    (L, 4, 4) at the present place, the lower triangle; `J_now` (4, 3): of the views by the point.
+    """
+
+    there: BoolArray
+    residual: FloatArray
+    D: FloatArray
+    S: FloatArray
+    J_now: FloatArray
 
 
 def points_to_look_at(
@@ -96,15 +110,14 @@ def moving_points(
     their last rows alone, without the `n_old` first ones: a car that brakes was faster before.
     """
     n_rows, n = len(ego.span_s), len(candidate)
-    out = MovingPoints(
-        np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3, 3)),
-        np.full((n_rows, n, 3), np.nan), np.zeros((n_rows, n, 4, 4)), np.zeros((n_rows, n, 3, 3)),
-    )  # fmt: skip
-    count, s, J_now = 0, new_scratch(), np.empty((4, 3))
+    point, velocity, velocity_cov = np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3, 3))
+    predicted, weight = np.empty((n, n_rows, 3)), np.empty((n, n_rows, 4, 4))
+    information = np.empty((n, n_rows, 3, 3))
+    count, s, rows = 0, new_scratch(), new_rows(n_rows)
     for k in range(n):
-        point, v, C = candidate[k], out.velocity[count], out.velocity_cov[count]
-        project(pairs.p_now[point], noise.T_cam1_cam0, s.h, J_now)
-        first, steady = 0, False
+        v, C, first, steady = velocity[count], velocity_cov[count], 0, False
+        p, W, N = predicted[count], weight[count], information[count]
+        compare_rows(pairs, ego, noise, candidate[k], s, rows, p)
         for step in range(3):  # all rows; the last ones; the weights of those that were used
             if step == 1:
                 if steady or not has_track[k]:
@@ -112,51 +125,108 @@ def moving_points(
                 first = n_old
             if step == 2 and not (steady and squared_mahalanobis(v, C) > moves):
                 break
-            rows = add_rows(pairs, ego, noise, point, first, J_now, accel_mps2, step, count, s, out)
+            clear(s.products, W, N, step)
+            used = 0
+            for row in range(n_rows):
+                if rows.there[row] and row >= first:
+                    used += 1
+                    add_row(row, ego.span_s[row], accel_mps2, step, s, rows, W, N)
             if step < 2:
-                steady = fit_velocity(s, v, C) < bound[rows]
+                steady = fit_velocity(s, v, C) < bound[used]
             else:
-                out.point[count] = point
+                point[count] = candidate[k]
                 count += 1
-    return MovingPoints(
-        out.point[:count], out.velocity[:count], out.velocity_cov[:count],
-        out.predicted[:, :count].copy(), out.weight[:, :count].copy(),
-        out.information[:, :count].copy(),
+    out = MovingPoints(
+        point[:count], velocity[:count], velocity_cov[:count], np.empty((n_rows, count, 3)),
+        np.empty((n_rows, count, 4, 4)), np.empty((n_rows, count, 3, 3)),
+    )  # fmt: skip
+    put_by_row(predicted, weight, information, out)
+    return out
+
+
+@inlined_part
+def put_by_row(
+    predicted: FloatArray, weight: FloatArray, information: FloatArray, out: MovingPoints
+) -> None:
+    """Put what was found point by point, (M, L, ...), into the arrays (L, M, ...)."""
+    for row in range(len(out.weight)):
+        for k in range(len(out.point)):
+            for a in range(4):
+                for b in range(4):
+                    out.weight[row, k, a, b] = weight[k, row, a, b]
+                    if a < 3 and b < 3:
+                        out.information[row, k, a, b] = information[k, row, a, b]
+                if a < 3:
+                    out.predicted[row, k, a] = predicted[k, row, a]
+
+
+@part
+def new_rows(n_rows: int) -> Rows:
+    """Memory of one point's comparisons."""
+    return Rows(
+        np.empty(n_rows, np.bool_), np.empty((n_rows, 4)), np.empty((n_rows, 4, 3)),
+        np.empty((n_rows, 4, 4)), np.empty((4, 3)),
     )  # fmt: skip
 
 
 @inlined_part
-def add_rows(
-    pairs: Pairs, ego: EgoMotion, noise: StereoNoise, point: int, first: int, J_now: FloatArray,
-    accel_mps2: float, step: int, place: int, s: Scratch, out: MovingPoints,
-) -> int:  # fmt: skip
-    """The rows from the `first` one on that exist, their normal equations added up in `products`.
-
-    In the last step the predictions and weights are put in their `place`.
-    """
-    rows = 0
-    s.products[:, :] = 0.0
+def compare_rows(
+    pairs: Pairs, ego: EgoMotion, noise: StereoNoise, n: int, s: Scratch, rows: Rows,
+    predicted: FloatArray,
+) -> None:  # fmt: skip
+    """Compare point n with its earlier rows, at its present place; `predicted` (L, 3) is filled."""
+    project(pairs.p_now[n], noise.T_cam1_cam0, s.h, rows.J_now)
     for row in range(len(ego.span_s)):
-        if not predict_point(pairs, ego, row, point, s):
-            continue
-        if step == 2:
-            for a in range(3):
-                out.predicted[row, place, a] = s.predicted[a]
-        if row < first:
-            continue
-        rows += 1
-        spread_point(pairs, ego, noise, row, point, s)
-        image_covariance(pairs, noise, row, point, J_now, s.C, s.S)
-        if step == 2:
-            identity_rows(s)
-        else:
-            widen(s.S, s.D, (0.5 * accel_mps2 * ego.span_s[row] ** 2) ** 2)
-            motion_rows(ego.span_s[row], s)
-        whiten(s.S, s.rows, 0)
+        rows.there[row] = predict_point(pairs, ego, row, n, s)
+        for a in range(3):
+            predicted[row, a] = s.predicted[a] if rows.there[row] else np.nan
+        if rows.there[row]:
+            spread_point(pairs, ego, noise, row, n, s)
+            image_covariance(pairs, noise, row, n, rows.J_now, s.C, s.S)
+            for i in range(4):
+                rows.residual[row, i] = s.residual[i]
+                for j in range(4):
+                    rows.S[row, i, j] = s.S[i, j]
+                    if j < 3:
+                        rows.D[row, i, j] = s.D[i, j]
+
+
+@inlined_part
+def clear(products: FloatArray, weight: FloatArray, information: FloatArray, step: int) -> None:
+    """Zero the sums, and in the last step the weights and information of all rows."""
+    for i in range(4):
+        for j in range(4):
+            products[i, j] = 0.0
+    if step == 2:
+        weight[:, :, :] = 0.0
+        information[:, :, :] = 0.0
+
+
+@inlined_part
+def add_row(
+    row: int, span_s: float, accel_mps2: float, step: int, s: Scratch, rows: Rows,
+    weight: FloatArray, information: FloatArray,
+) -> None:  # fmt: skip
+    """One row's part of the normal equations of a point.
+
+    In the last step its weight and information, (L, 4, 4) and (L, 3, 3), are filled instead.
+    """
+    for i in range(4):
+        s.residual[i] = rows.residual[row, i]
+        for j in range(4):
+            s.S[i, j] = rows.S[row, i, j]
+            if j < 3:
+                s.D[i, j] = rows.D[row, i, j]
+    if step == 2:
+        identity_rows(s)
+    else:
+        widen(s.S, s.D, (0.5 * accel_mps2 * span_s**2) ** 2)
+        motion_rows(span_s, s)
+    whiten(s.S, s.rows, s.rows.shape[1])
+    if step == 2:
+        weigh(s, weight[row], information[row])
+    else:
         add_products(s.rows, s.products)
-        if step == 2:
-            weigh(row, place, s, out)
-    return rows
 
 
 @inlined_part
@@ -168,24 +238,17 @@ def identity_rows(s: Scratch) -> None:
 
 
 @inlined_part
-def weigh(row: int, k: int, s: Scratch, out: MovingPoints) -> None:
-    """The weight S⁻¹, which is in `products`, and the information Dᵀ S⁻¹ D of point k.
-
-    `products` is zero again.
-    """
-    weight, information, D = out.weight[row, k], out.information[row, k], s.D
-    for i in range(4):
-        for j in range(4):
-            weight[i, j] = s.products[i, j]
-            s.products[i, j] = 0.0
+def weigh(s: Scratch, weight: FloatArray, information: FloatArray) -> None:
+    """The weight S⁻¹ = L⁻ᵀ L⁻¹ of the whitened rows L⁻¹, and the information Dᵀ S⁻¹ D."""
+    add_products(s.rows, weight)
     for i in range(4):
         for a in range(3):
             WD = (
-                weight[i, 0] * D[0, a] + weight[i, 1] * D[1, a]
-                + weight[i, 2] * D[2, a] + weight[i, 3] * D[3, a]
+                weight[i, 0] * s.D[0, a] + weight[i, 1] * s.D[1, a]
+                + weight[i, 2] * s.D[2, a] + weight[i, 3] * s.D[3, a]
             )  # fmt: skip
             for b in range(3):
-                information[a, b] += WD * D[i, b]
+                information[a, b] += WD * s.D[i, b]
 
 
 _FOLDER = code_folder(Path(__file__))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import cross, invert_symmetric, solve_positive
 
 _ITERATIONS = 6
@@ -157,13 +157,13 @@ def reduce_points(
     for v in range(n_views):
         for b in range(n_bodies):
             through_body(s.span_s[v, b] * twist[b], s.into_view[v, b], C[v, b], J[v, b])
-    rows, products = np.empty((4, 10)), np.empty((10, 10))
+    rows, products, G = np.empty((4, 10)), np.empty((10, 10)), np.empty((3, 10))
     for n in range(n_points):
         b = s.body[n]
         products.fill(0.0)
         for v in range(n_views):
             if s.by_sum[v, n] > 0.0:
-                view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, rows)
+                view_rows(point[n], C[v, b], J[v, b], s.span_s[v, b], v, n, s, G, rows)
                 add_row_products(rows, s.span_s[v, b] > 0.0, products)
         eliminate(products, n, out)
         out.inlier[n] = out.cost[n] < wider * bound[n]
@@ -173,7 +173,7 @@ def reduce_points(
     return out
 
 
-@part
+@inlined_part
 def add_row_products(rows: FloatArray, moving: bool, products: FloatArray) -> None:
     """Add rowsᵀ rows (10, 10), the upper triangle; the twist's part only where there is one."""
     for i in range(4):
@@ -183,7 +183,7 @@ def add_row_products(rows: FloatArray, moving: bool, products: FloatArray) -> No
                     products[a, c] += rows[i, a] * rows[i, c]
 
 
-@part
+@inlined_part
 def eliminate(products: FloatArray, n: int, out: Reduced) -> None:
     """Eliminate point n, from the products of derivatives by point (3), twist (6), residual."""
     invert_symmetric(products, out.N_inverse[n])
@@ -201,7 +201,7 @@ def eliminate(products: FloatArray, n: int, out: Reduced) -> None:
                 out.K[n, a, c] += products[d, 3 + a] * out.N_inverse[n, d, c]
 
 
-@part
+@inlined_part
 def add_reduced(products: FloatArray, n: int, b: int, out: Reduced) -> None:
     """Add the Schur complement of point n to the twist's equations of body b, by its weight."""
     for a in range(6):
@@ -254,27 +254,31 @@ def through_body(xi: FloatArray, into_view: FloatArray, C: FloatArray, J: FloatA
                 C[a, c] += into_view[a, k] * back[k, c]
 
 
-@part
+@inlined_part
 def view_rows(
     point: FloatArray, C: FloatArray, J: FloatArray, span: float, v: int, n: int, s: WeightedViews,
-    rows: FloatArray,
+    G: FloatArray, rows: FloatArray,
 ) -> None:  # fmt: skip
     """Rows (4, 10) of one view: derivatives by point (3) and twist (6), and the residual.
 
     The point in the view is q = C D + ρ c, with D = R ray + ρ t about the origin. A motion
-    exp(τ) of D gives C [-[D]x, ρ I] τ, with τ = -s [[J, 0], [Q, J]] δ.
+    exp(τ) of D gives C [-[D]x, ρ I] τ, with τ = -s [[J, 0], [Q, J]] δ. G (3, 10) is filled with the
+    derivatives of q and q itself.
     """
     out, x, y, rho = s.out_of_now[s.body[n]], point[0], point[1], point[2]
-    D, G = np.empty(3), np.empty((3, 10))  # by point and twist, then q itself
-    for a in range(3):
-        D[a] = out[a, 0] * x + out[a, 1] * y + out[a, 2] + rho * out[a, 3]
+    D = (
+        out[0, 0] * x + out[0, 1] * y + out[0, 2] + rho * out[0, 3],
+        out[1, 0] * x + out[1, 1] * y + out[1, 2] + rho * out[1, 3],
+        out[2, 0] * x + out[2, 1] * y + out[2, 2] + rho * out[2, 3],
+    )
     for a in range(3):
         G[a, 9] = C[a, 0] * D[0] + C[a, 1] * D[1] + C[a, 2] * D[2] + rho * C[a, 3]
-        for c, column in ((0, 0), (1, 1), (2, 3)):
+        for c in range(3):
+            column = c if c < 2 else 3
             G[a, c] = C[a, 0] * out[0, column] + C[a, 1] * out[1, column] + C[a, 2] * out[2, column]
         G[a, 2] += C[a, 3]
         # C [D]x, row by row: (C row) x D
-        turn = cross((C[a, 0], C[a, 1], C[a, 2]), (D[0], D[1], D[2]))
+        turn = cross((C[a, 0], C[a, 1], C[a, 2]), D)
         for c in range(3):
             by_turn, by_shift, by_both = 0.0, 0.0, 0.0
             for k in range(3):
@@ -284,13 +288,11 @@ def view_rows(
             G[a, 3 + c] = span * (by_turn - rho * by_both)
             G[a, 6 + c] = -span * rho * by_shift
     T, f, minus, plus = s.T_cam1_cam0, s.focal, s.by_difference[v, n], s.by_sum[v, n]
-    q0, q1 = np.empty(3), np.empty(3)
-    for a in range(3):
-        q0[a] = G[a, 9]
-    for a in range(3):
-        q1[a] = T[a, 0] * q0[0] + T[a, 1] * q0[1] + T[a, 2] * q0[2] + rho * T[a, 3]
+    z0 = G[2, 9]
+    z1 = T[2, 0] * G[0, 9] + T[2, 1] * G[1, 9] + T[2, 2] * z0 + rho * T[2, 3]
     for i in range(2):
-        h0, h1 = q0[i] / q0[2], q1[i] / q1[2]
+        x1 = T[i, 0] * G[0, 9] + T[i, 1] * G[1, 9] + T[i, 2] * z0 + rho * T[i, 3]
+        h0, h1 = G[i, 9] / z0, x1 / z1
         for c in range(10):
             if c == 9:
                 left, right = s.seen[v, n, i] - h0, s.seen[v, n, 2 + i] - h1
@@ -299,7 +301,7 @@ def view_rows(
                 depth = T[2, 0] * G[0, c] + T[2, 1] * G[1, c] + T[2, 2] * G[2, c]
                 if c == 2:
                     along, depth = along + T[i, 3], depth + T[2, 3]
-                left, right = (G[i, c] - h0 * G[2, c]) / q0[2], (along - h1 * depth) / q1[2]
+                left, right = (G[i, c] - h0 * G[2, c]) / z0, (along - h1 * depth) / z1
             left, right = left * f[i], right * f[2 + i]
             rows[i, c] = (left - right) * minus
             rows[2 + i, c] = (left + right) * plus

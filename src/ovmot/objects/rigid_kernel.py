@@ -13,6 +13,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
+from ovmot.objects.triangle_kernel import register_triangle, smallest_height
 
 HEIGHT_SIGMAS = 4.0
 """A triangle flatter than this many sigmas of its corners has no rotation."""
@@ -135,7 +136,7 @@ def extract_motions(
                 tolerance.accel_mps2,
             )  # fmt: skip
             n_found += 1
-            n = without(remaining, n, of_row, inlier, m)
+            n = without(remaining[:n], of_row[:m], inlier)
     return Motions(
         out.point[:n_points], out.size[:n_found], out.group[:n_found], out.row[:n_found],
         out.T_now_then[:n_found], out.velocity_row[:n_found],
@@ -143,11 +144,11 @@ def extract_motions(
 
 
 @part
-def without(remaining: IntArray, n: int, of_row: IntArray, inlier: BoolArray, m: int) -> int:
-    """How many of the n points remain without the inliers among the m of the row, in order."""
+def without(remaining: IntArray, of_row: IntArray, inlier: BoolArray) -> int:
+    """How many of the points remain, in order, without the inliers among those of the row."""
     kept, k = 0, 0
-    for r in range(n):
-        if k < m and of_row[k] == remaining[r]:
+    for r in range(len(remaining)):
+        if k < len(of_row) and of_row[k] == remaining[r]:
             k += 1
             if inlier[k - 1]:
                 continue
@@ -267,9 +268,9 @@ def propose(
             T[a, 3] = moved / (wi + wj + wk)
         return True
     wide = HEIGHT_SIGMAS * max(s.sigma[i], s.sigma[j], s.sigma[k])
-    if not _height(s.q[i], s.q[j], s.q[k]) > wide:
+    if not smallest_height(s.q[i], s.q[j], s.q[k]) > wide:
         return False
-    _register(s.p[i], s.p[j], s.p[k], s.q[i], s.q[j], s.q[k], T)
+    register_triangle(s.p[i], s.p[j], s.p[k], s.q[i], s.q[j], s.q[k], T)
     return bool(0.5 * (T[0, 0] + T[1, 1] + T[2, 2] - 1.0) > least_cosine)
 
 
@@ -324,70 +325,6 @@ def squared_distance(
     crossed = a * (weight[m, 0, 1] * b + weight[m, 0, 2] * c + weight[m, 0, 3] * d)
     crossed += b * (weight[m, 1, 2] * c + weight[m, 1, 3] * d) + weight[m, 2, 3] * c * d
     return float(total + 2.0 * crossed)
-
-
-@part
-def _height(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    """Smallest height of a triangle, metres."""
-    first = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2
-    second = (c[0] - b[0]) ** 2 + (c[1] - b[1]) ** 2 + (c[2] - b[2]) ** 2
-    third = (a[0] - c[0]) ** 2 + (a[1] - c[1]) ** 2 + (a[2] - c[2]) ** 2
-    along = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
-    along += (b[2] - a[2]) * (c[2] - b[2])
-    area = math.sqrt(max(first * second - along**2, 0.0))
-    return area / max(math.sqrt(max(first, second, third)), 1e-12)
-
-
-@part
-def _register(
-    p0: FloatArray, p1: FloatArray, p2: FloatArray, q0: FloatArray, q1: FloatArray, q2: FloatArray,
-    T: FloatArray,
-) -> None:  # fmt: skip
-    """Least-squares rigid motion T (4, 4) of a triangle p to a triangle q.
-
-    Both are flat: the normals meet, and the turn in the plane is Procrustes' in two dimensions.
-    """
-    P, x0, y0 = _in_own_axes(p0, p1, p2)
-    Q, u0, v0 = _in_own_axes(q0, q1, q2)
-    same, crossed = 0.0, 0.0
-    for k in range(3):
-        same += x0[k] * u0[k] + y0[k] * v0[k]
-        crossed += x0[k] * v0[k] - y0[k] * u0[k]
-    length = max(math.hypot(same, crossed), 1e-300)
-    c, s = same / length, crossed / length
-    for a in range(3):
-        first, second = Q[a, 0] * c + Q[a, 1] * s, Q[a, 1] * c - Q[a, 0] * s
-        T[a, 3] = (q0[a] + q1[a] + q2[a]) / 3.0
-        for b in range(3):
-            T[a, b] = first * P[b, 0] + second * P[b, 1] + Q[a, 2] * P[b, 2]
-            T[a, 3] -= T[a, b] * (p0[b] + p1[b] + p2[b]) / 3.0
-
-
-@part
-def _in_own_axes(
-    a: FloatArray, b: FloatArray, c: FloatArray
-) -> tuple[FloatArray, tuple[float, float, float], tuple[float, float, float]]:
-    """Axes (3, 3) of a triangle, in columns, the last its normal; and its corners' coordinates (3,)
-    along the first two, from the middle."""
-    axes = np.empty((3, 3))
-    length, along, height = 0.0, 0.0, 0.0
-    for k in range(3):
-        length += (b[k] - a[k]) ** 2
-    length = max(math.sqrt(length), 1e-300)
-    for k in range(3):
-        axes[k, 0] = (b[k] - a[k]) / length
-        along += (c[k] - a[k]) * axes[k, 0]
-    for k in range(3):
-        axes[k, 1] = c[k] - a[k] - along * axes[k, 0]
-        height += axes[k, 1] ** 2
-    height = max(math.sqrt(height), 1e-300)
-    for k in range(3):
-        axes[k, 1] /= height
-    axes[0, 2] = axes[1, 0] * axes[2, 1] - axes[2, 0] * axes[1, 1]
-    axes[1, 2] = axes[2, 0] * axes[0, 1] - axes[0, 0] * axes[2, 1]
-    axes[2, 2] = axes[0, 0] * axes[1, 1] - axes[1, 0] * axes[0, 1]
-    x, y = (length + along) / 3.0, height / 3.0
-    return axes, (-x, length - x, along - x), (-y, -y, height - y)
 
 
 extract_motions_compiled = compiled(extract_motions, code_folder(Path(__file__)))

@@ -143,7 +143,7 @@ def compare_with_rest(
                 shift = 0.5 * accel_mps2 * span**2 if fit == 1 else forgiven_mps * span
                 widen(s.S, s.J, shift**2)
                 motion_rows(span, s)
-                whiten(s.S, s.rows, 0 if fit == 1 else 3)
+                whiten(s.S, s.rows, s.rows.shape[1] if fit == 1 else 1)
                 if fit == 1:
                     add_products(s.rows, s.products)
                 else:
@@ -167,8 +167,6 @@ def no_comparison(n_points: int) -> Rest:
 @inlined_part
 def predict_point(pairs: Pairs, ego: EgoMotion, row: int, n: int, s: Scratch) -> bool:
     """Where point n of an earlier row is now, if it is static; False where that is nowhere."""
-    if not math.isfinite(pairs.p_then[row, n, 2]):
-        return False
     transform(ego.T_now_then[row], pairs.p_then[row, n], s.predicted)
     return bool(s.predicted[2] > _LEAST_DEPTH)
 
@@ -228,17 +226,17 @@ def widen(S: FloatArray, J: FloatArray, variance: float) -> None:
 
 @inlined_part
 def motion_rows(span_s: float, s: Scratch) -> None:
-    """The rows (4, 4) of r = D v Δt: D Δt, and r."""
+    """The rows (4, 4) of r = D v Δt: r, then D Δt."""
     for i in range(4):
-        s.rows[i, 3] = s.residual[i]
+        s.rows[i, 0] = s.residual[i]
         for k in range(3):
-            s.rows[i, k] = s.D[i, k] * span_s
+            s.rows[i, 1 + k] = s.D[i, k] * span_s
 
 
 @inlined_part
 def add_distance(row: int, n: int, n_rows: int, s: Scratch, out: Rest) -> None:
     """The squared Mahalanobis distance of a residual that is white now, if it is finite."""
-    d = s.rows[0, 3] ** 2 + s.rows[1, 3] ** 2 + s.rows[2, 3] ** 2 + s.rows[3, 3] ** 2
+    d = s.rows[0, 0] ** 2 + s.rows[1, 0] ** 2 + s.rows[2, 0] ** 2 + s.rows[3, 0] ** 2
     if math.isfinite(d):
         out.distance[n] = max(out.distance[n], d)
         out.rows[n] += 1
@@ -250,17 +248,17 @@ def fit_velocity(s: Scratch, velocity: FloatArray, covariance: FloatArray) -> fl
     """Velocity (3,), its covariance (3, 3) and the cost, by the summed normal equations."""
     for a in range(3):
         for b in range(3):
-            s.information[a, b] = s.products[a, b] + (1e-6 if a == b else 0.0)
+            s.information[a, b] = s.products[1 + a, 1 + b] + (1e-6 if a == b else 0.0)
     invert_symmetric(s.information, covariance)
-    cost = s.products[3, 3]
+    cost = s.products[0, 0]
     for a in range(3):
         velocity[a] = 0.0
         for b in range(3):
-            velocity[a] += covariance[a, b] * s.products[b, 3]
+            velocity[a] += covariance[a, b] * s.products[0, 1 + b]
     for a in range(3):
-        cost -= 2.0 * velocity[a] * s.products[a, 3]
+        cost -= 2.0 * velocity[a] * s.products[0, 1 + a]
         for b in range(3):
-            cost += velocity[a] * s.products[a, b] * velocity[b]
+            cost += velocity[a] * s.products[1 + a, 1 + b] * velocity[b]
     return float(cost)
 
 
