@@ -42,7 +42,7 @@ def new_corners(
     corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, mask)
     within, has = inside_mask(corners, focus), inside_mask(existing, focus)
     even = even_spread(settings.max_features, cell_px, shape)
-    dense = Spread(cell_px / 4.0, cell_px, 4 * 4)
+    dense = Spread(cell_px / 4.0, cell_px, 3 * 4)
     taken = existing
     for n_most, chosen, spread in (
         (settings.max_features - int((~has).sum()), ~within, even),
@@ -93,7 +93,7 @@ def focus_mask(
 ) -> Image | None:
     """An image (height, width), 255 within the radii (N,) of pixels (N, 2); None without any.
 
-    Radii are at least half of a fine cell, of side `cell_px`. Those beyond three cells, the cell
+    Radii are at least 0.4 of a fine cell, of side `cell_px`: as far as the next even corner may be. Those beyond three cells, the cell
     of the even spread, are left out: what is near has its features by the ordinary density.
     """
     small = radius_px < 3 * cell_px
@@ -101,7 +101,7 @@ def focus_mask(
         return None
     mask = np.zeros(shape[:2], dtype=np.uint8)
     centers = uv[small].round().astype(int).tolist()
-    radii = np.maximum(radius_px[small], 0.5 * cell_px).round().astype(int).tolist()
+    radii = np.maximum(radius_px[small], 0.4 * cell_px).round().astype(int).tolist()
     for (u, v), radius in zip(centers, radii, strict=True):
         cv2.circle(mask, (u, v), radius, 255, cv2.FILLED)
     return mask
