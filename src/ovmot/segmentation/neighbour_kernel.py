@@ -11,6 +11,7 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, inlined_part
 from ovmot.kernels.small_matrices import squared_mahalanobis
+from ovmot.kernels.sorting import sort_together
 
 _MAX_NEIGHBOURS = 10
 
@@ -40,14 +41,23 @@ def count_alike(
     near, apart = np.empty(_MAX_NEIGHBOURS, np.int64), np.empty(_MAX_NEIGHBOURS)
     # divided by its own reach, every direction is near within one unit
     scaled, C, dv = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    order, across, window = np.empty(n, np.int64), np.empty(n), np.zeros(2, np.int64)
     for k in range(n):
-        i = candidates[k]
+        order[k], across[k] = candidates[k], p[candidates[k], 0]
+    sort_together(across, order, n)
+    for k in range(n):
+        i = order[k]
         scaled[k, 0], scaled[k, 1] = p[i, 0] / radius, p[i, 1] / radius
         scaled[k, 2] = p[i, 2] / (radius + 2.0 * math.sqrt(cov_p[i, 2, 2]))
     for k in range(n):
-        i = candidates[k]
-        for slot in range(nearest(scaled, k, near, apart)):
-            j = candidates[near[slot]]
+        i = order[k]
+        while scaled[window[0], 0] < scaled[k, 0] - 1.0:
+            window[0] += 1
+        while window[1] < n and scaled[window[1], 0] <= scaled[k, 0] + 1.0:
+            window[1] += 1
+        within = scaled[window[0] : window[1]]
+        for slot in range(nearest(within, k - window[0], near, apart)):
+            j = order[window[0] + near[slot]]
             for a in range(3):
                 dv[a] = velocity[i, a] - velocity[j, a]
                 for b in range(3):
