@@ -269,7 +269,10 @@ class Odometry:
         noise = self._settings.noise
         known = PIXEL_SIGMA if np.isnan(measured) else measured
         return PixelNoise(
-            noise.pixel_sigma or known, noise.drift_per_frame_px, noise.drift_per_flow
+            noise.pixel_sigma or known,
+            noise.pixel_sigma or max(known, PIXEL_SIGMA),
+            noise.drift_per_frame_px,
+            noise.drift_per_flow,
         )
 
     def latest(self) -> EgoEstimate | None:

@@ -121,12 +121,15 @@ class ImuData:
 class PixelNoise:
     """Noise of tracked features in the image, standard deviations.
 
-    `sigma_px`: white noise of each pixel coordinate of a stereo pair. A tracked patch drifts on its
+    `sigma_px`: white noise of each pixel coordinate of a stereo pair, as many points show it.
+    `single_px`: the same for a judgement on one point, whose patch may lie at a slant or at a depth
+    edge: such errors go along the epipolar line. A tracked patch drifts on its
     surface: `drift_per_frame_px` from one frame to the next, as a random walk, and further
     `drift_per_flow` of its way through the image, as its view changes.
     """
 
     sigma_px: float
+    single_px: float
     drift_per_frame_px: float
     drift_per_flow: float
 

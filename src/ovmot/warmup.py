@@ -60,7 +60,10 @@ def call_front_end() -> None:
     settings = Settings()
     tracker = StereoTracker(rig, settings.tracker, settings.epipolar)
     for k, shift in enumerate((0, 2, 40)):  # the last one is lost at first
-        left, right = wall[40:280, 100 - shift : 420 - shift], wall[40:280, 94 - shift : 414 - shift]
+        left, right = (
+            wall[40:280, 100 - shift : 420 - shift],
+            wall[40:280, 94 - shift : 414 - shift],
+        )
         frame = StereoFrame(k, np.ascontiguousarray(left), np.ascontiguousarray(right))
         tracker.track(frame, np.eye(4), no_feedback(rig))
     tracker.close()
@@ -132,4 +135,6 @@ def _simulation(*bodies: FeatureBody) -> FeatureSimulation:
     )
     imu = ImuModel(200.0, ImuNoise(*MEMS_NOISE), np.zeros(3), np.zeros(3))
     options = FeatureOptions(n_features=120, pixel_sigma=0.3, depth_m=(4.0, 20.0))
-    return FeatureSimulation(_rig(), path, _stamps(0.1 * np.arange(_N_FRAMES)), imu, options, bodies)
+    return FeatureSimulation(
+        _rig(), path, _stamps(np.arange(0.0, 0.1 * _N_FRAMES, 0.1)), imu, options, bodies
+    )

@@ -36,7 +36,7 @@ __all__ = [
     "window_of",
 ]
 
-NOISE = PixelNoise(0.3, 0.0, 0.0)
+NOISE = PixelNoise(0.3, 0.3, 0.0, 0.0)
 Scene = tuple[FeatureTable, ScenePoints, PoseWindow]
 Bodies = list[tuple[float, float, tuple[float, float, float], int]]
 

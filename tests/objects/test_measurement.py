@@ -21,7 +21,7 @@ Scene = tuple[FeatureTable, ScenePoints, PoseWindow]
 SIGMA = 0.3
 FRAMES = 12
 CALM = ObjectSettings(accel_sigma_mps2=0.0)
-NOISE = PixelNoise(SIGMA, 0.0, 0.0)
+NOISE = PixelNoise(SIGMA, SIGMA, 0.0, 0.0)
 
 
 def history_of(

@@ -14,7 +14,7 @@ from ovmot.settings import ObjectSettings
 from ovmot.types import PixelNoise
 
 SETTINGS = ObjectSettings()
-NOISE = PixelNoise(0.3, 0.0, 0.0)
+NOISE = PixelNoise(0.3, 0.3, 0.0, 0.0)
 TURN = np.ones(2, dtype=np.bool_)
 TWIST = np.array([[0.0, 0.0, 0.2, 4.0, -1.0, 0.1], [0.02, -0.01, -0.3, -8.0, 0.5, 0.0]])
 

@@ -25,7 +25,7 @@ SETTINGS = SegmentationSettings(
     distance_threshold_m=0.25, reprojection_threshold_px=3.0,
     combine="any",
 )  # fmt: skip
-NOISE = PixelNoise(0.4, 0.0, 0.0)
+NOISE = PixelNoise(0.4, 0.4, 0.0, 0.0)
 ROWS = (1, 11, 15, 18, 20)  # of 22 frames at 10 Hz: 2.0, 1.0, 0.6, 0.3 and 0.1 s ago
 N_FRAMES = 22
 Measured = Callable[..., Evidence]

@@ -22,7 +22,7 @@ SETTINGS = SegmentationSettings(
     distance_threshold_m=0.25,
     depth_weight=0.3, reprojection_threshold_px=3.0, combine="any",
 )  # fmt: skip
-NOISE = PixelNoise(0.4, 0.0, 0.0)
+NOISE = PixelNoise(0.4, 0.4, 0.0, 0.0)
 N_CAR, N_REST = 6, 60
 Make = Callable[..., FloatArray]
 

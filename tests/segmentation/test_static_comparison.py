@@ -14,8 +14,8 @@ from ovmot.segmentation.stereo_history import history_of
 from ovmot.types import PixelNoise, PoseWindow
 
 SIGMA_PX = 0.4
-NOISE = PixelNoise(SIGMA_PX, 0.0, 0.0)
-PERFECT = PixelNoise(0.0, 0.0, 0.0)
+NOISE = PixelNoise(SIGMA_PX, SIGMA_PX, 0.0, 0.0)
+PERFECT = PixelNoise(0.0, 0.0, 0.0, 0.0)
 Make = Callable[..., FloatArray]
 Window = Callable[..., PoseWindow]
 
@@ -145,7 +145,9 @@ def test_drift_widens_with_the_way_through_the_image(
     m = measure(rig, T, p, 0.0, rng)
 
     def S_of(per_frame_px: float, per_flow: float) -> FloatArray:
-        return compared(rig, window_of(T), m, PixelNoise(SIGMA_PX, per_frame_px, per_flow)).S
+        return compared(
+            rig, window_of(T), m, PixelNoise(SIGMA_PX, SIGMA_PX, per_frame_px, per_flow)
+        ).S
 
     plain = S_of(0.0, 0.0)
     flow = np.linalg.norm(m[-1, :, :2] - m[:-1, :, :2], axis=-1)

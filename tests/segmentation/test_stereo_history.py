@@ -12,7 +12,7 @@ from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
 from ovmot.segmentation.stereo_history import look_back_rows, stereo_history
 from ovmot.types import FrontendFrame, PixelNoise, PoseWindow
 
-NOISE = PixelNoise(0.4, 0.15, 0.01)
+NOISE = PixelNoise(0.4, 0.4, 0.15, 0.01)
 SPANS = (1.0, 0.5, 0.2)
 N_FRAMES, N_POINTS = 16, 12
 Recorded = tuple[FeatureTable, PoseWindow, FloatArray]

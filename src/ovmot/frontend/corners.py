@@ -93,7 +93,7 @@ def focus_mask(
 ) -> Image | None:
     """An image (height, width), 255 within the radii (N,) of pixels (N, 2); None without any.
 
-    Radii are at least 0.4 of a fine cell, of side `cell_px`: as far as the next even corner may be. Those beyond three cells, the cell
+    Radii are at least 0.4 of a fine cell, of side `cell_px`. Those beyond three cells, the cell
     of the even spread, are left out: what is near has its features by the ordinary density.
     """
     small = radius_px < 3 * cell_px

@@ -74,8 +74,9 @@ def motion_history(
     if len(candidate) < settings.min_points:
         return None
     candidate = candidate[_chosen(known, points.pixels[candidate, 0], points.track_id[candidate])]
+    noise = stereo_noise(history, history.noise.sigma_px, rig)
     moving = moving_points_compiled(
-        pairs, ego, stereo_noise(history, rig), candidate, points.track_id[candidate] >= 0,
+        pairs, ego, noise, candidate, points.track_id[candidate] >= 0,
         int(np.count_nonzero(history.span_s > _BRAKING_S)), ACCEL_SIGMA_MPS2,
         VARIANCE_FACTOR * velocity_gates(len(history)), _MOVES,
     )  # fmt: skip

@@ -68,8 +68,9 @@ def gather_evidence(
     Compared are points within range, now and where they are predicted.
     """
     focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
+    noise = stereo_noise(history, history.noise.single_px, rig)
     found = compare_with_rest_compiled(
-        pairs_of(history), ego_motion_since(history, window, rig), stereo_noise(history, rig),
+        pairs_of(history), ego_motion_since(history, window, rig), noise,
         settings.max_range_m, settings.forgiven_speed_mps, ACCEL_SIGMA_MPS2, gate(4, _UNLIKELY),
         settings.depth_weight, focal,
     )  # fmt: skip

@@ -30,12 +30,15 @@ def ego_motion_since(history: StereoHistory, window: PoseWindow, rig: StereoRig)
     return EgoMotion(T_now_then, covariance, history.span_s)
 
 
-def stereo_noise(history: StereoHistory, rig: StereoRig) -> StereoNoise:
-    """The stereo extrinsics and the noise of a history's pixels, in normalized units."""
+def stereo_noise(history: StereoHistory, sigma_px: float, rig: StereoRig) -> StereoNoise:
+    """The stereo extrinsics and the noise of a history's pixels, in normalized units.
+
+    `sigma_px`: that of each coordinate of a pair, as `PixelNoise` has it.
+    """
     noise = history.noise
     return StereoNoise(
         np.ascontiguousarray(rig.T_cam1_cam0),
-        rig.normalized_sigma(noise.sigma_px),
+        rig.normalized_sigma(sigma_px),
         noise.drift_sigma_px(history.n_frames) / rig.cam0.fx,
         float(noise.drift_per_flow),
     )
