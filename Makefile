@@ -43,6 +43,8 @@ $(STAMP): requirements.lock pyproject.toml
 	@echo "installing ovmot into $(VENV)"
 	@$(PIP_INSTALL) --require-hashes -r requirements.lock
 	@$(PIP_INSTALL) --no-build-isolation --no-deps -e .
+	@echo "compiling what the first run would compile"
+	@$(BIN)/ovmot warmup
 	@touch $@
 
 install-reference: $(REFERENCE_STAMP) ## add evo and TrackEval, with which some tests compare

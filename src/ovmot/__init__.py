@@ -55,6 +55,7 @@ if TYPE_CHECKING:
         StereoFrame,
         StereoMatches,
     )
+    from ovmot.warmup import warm_up
 
 __all__ = [
     "CAMERA_MODELS",
@@ -101,6 +102,7 @@ __all__ = [
     "prepare_process",
     "run_sequence",
     "simulate",
+    "warm_up",
     "write_metrics",
     "write_plots",
 ]
@@ -128,6 +130,7 @@ _HOMES = {
     "sim.simulate": "SimulatedSequence simulate",
     "types": "EgoEstimate Event FeatureFrame FrameResult Health ImuNoise ImuSample ObjectTrack"
     " PointLabel ScenePoints StereoFrame StereoMatches",
+    "warmup": "warm_up",
 }
 """The names above by the module that defines them; a test holds the three lists together."""
 

@@ -57,7 +57,8 @@ def test_moving_points_have_the_velocity_of_the_twin(
     has_track, n_old = candidate % 3 == 0, 1
     bound = np.array([0.0, 2.0, 8.0, 2.0])
     found = search(
-        pairs_of(history), ego_motion_since(history, window, rig), stereo_noise(history, history.noise.sigma_px, rig),
+        pairs_of(history), ego_motion_since(history, window, rig),
+        stereo_noise(history, history.noise.sigma_px, rig),
         candidate, has_track, n_old, ACCEL, bound, MOVES,
     )  # fmt: skip
     S = widened(c.S_motion, c.J_motion, 0.5 * ACCEL * c.span_s**2)

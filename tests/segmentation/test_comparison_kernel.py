@@ -35,7 +35,8 @@ def found_and_twin(
     history, window = compared_case
     kernel: Callable[..., Rest] = request.param
     found = kernel(
-        pairs_of(history), ego_motion_since(history, window, rig), stereo_noise(history, history.noise.sigma_px, rig),
+        pairs_of(history), ego_motion_since(history, window, rig),
+        stereo_noise(history, history.noise.sigma_px, rig),
         MAX_RANGE_M, FORGIVEN, ACCEL, FIT_BEYOND, DEPTH_WEIGHT, focal(rig),
     )  # fmt: skip
     return found, compare_with_static(history, window, rig)

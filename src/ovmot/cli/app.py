@@ -25,11 +25,11 @@ from ovmot.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FAILED,
     NOTHING_WRITTEN,
+    compile_at_first_use,
     interruptible,
     printable,
     progress,
     say,
-    say_if_first_use,
     say_warning,
     show,
     stages,
@@ -162,7 +162,7 @@ def run(
         given.mask_files, threads,
     )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    say_if_first_use()
+    compile_at_first_use()
     with (
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,
@@ -278,6 +278,12 @@ def batch(
 app.command()(doctor)
 app.command()(ros)
 app.command()(ros2)
+
+
+@app.command()
+def warmup() -> None:
+    """Compile ahead what the first run on a machine would compile."""
+    ovmot.warm_up()
 
 
 @app.command()

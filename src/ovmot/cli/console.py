@@ -38,10 +38,11 @@ def printable(line: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in line)
 
 
-def say_if_first_use() -> None:
-    """Say that code is compiled, where this is the first run on a machine."""
+def compile_at_first_use() -> None:
+    """Compile the kernels, and say so, where this is the first run on a machine."""
     if is_first_use(Path(ovmot.__file__).parent):
-        say("ovmot: the first run on this machine compiles some code; that takes up to a minute")
+        say("ovmot: the first run on this machine compiles some code; that takes half a minute")
+        ovmot.warm_up()
 
 
 def say_warning(
