@@ -60,6 +60,9 @@ MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)
 """Length, width and height of a passenger car."""
+LEAST_HEIGHT_M = 0.3
+"""Every road user rises higher than this: a car's bumper begins there (UN Regulation 42: 0.445 m is
+the height of its test)."""
 MAX_VEHICLE_SIZE_M = (18.75, 2.6, 4.0)
 """Greatest length, width and height of a vehicle on a road (Directive 96/53/EC)."""
 

@@ -28,9 +28,9 @@ from ovmot.objects.refinement import BodyViews, RefinedBodies, refine_bodies
 from ovmot.objects.rigid_kernel import Motions
 from ovmot.objects.rigid_motion import extract_motions
 from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion
-from ovmot.physics import MAX_VEHICLE_SIZE_M, gate
+from ovmot.physics import CAR_SIZE_M, LEAST_HEIGHT_M, MAX_VEHICLE_SIZE_M, gate
 from ovmot.settings import ObjectSettings, SegmentationSettings
-from ovmot.types import PoseWindow, ScenePoints
+from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
 _LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
 _STEEPEST = 0.1  # slope of a road
@@ -112,11 +112,14 @@ def measure_objects(
     measured = _measured(views, refined, window, clones, settings)
     # 6 those that move and are no part of another
     bodies = []
+    ground = _static_points(points, T_world_cam0)
     for k, own in enumerate(np.split(measured.members, np.cumsum(measured.n_members))[:-1]):
         if len(own) >= settings.min_points and not _is_aloft(measured.middle[k], T_world_cam0):
             body = _measurement(
                 k, own, moving.feature_id[index], views, refined, measured, may_turn, settings
             )
+            if lies_flat(body.p_world, ground):
+                continue
             if _moves(body, T_world_cam0, rig, settings, of_points):
                 track_id = majority_track(moving.track_id[index[own]])
                 bodies.append(_Body(int(found.group[k]), track_id, body))
@@ -161,6 +164,27 @@ def _is_aloft(middle: FloatArray, T_world_cam0: FloatArray) -> bool:
     offset = middle - T_world_cam0[:3, 3]
     slope_m = _STEEPEST * float(np.hypot(offset[0], offset[1]))
     return bool(offset[2] > MAX_VEHICLE_SIZE_M[2] + slope_m)
+
+
+def _static_points(points: ScenePoints, T_world_cam0: FloatArray) -> FloatArray:
+    """Static points (M, 3) in the world."""
+    static = (points.label == int(PointLabel.STATIC)) & np.isfinite(points.p_cam0[:, 2])
+    return se3.apply(T_world_cam0, points.p_cam0[static])
+
+
+def lies_flat(p_world: FloatArray, static: FloatArray, *, min_points: int = 5) -> bool:
+    """Do the points (N, 3) of a body lie on the ground around it, which `static` (M, 3) show?
+
+    Patches of a road seen at a grazing angle drift together, as a body would; no road user is as
+    low as `LEAST_HEIGHT_M`. The ground is the lowest tenth of the static points within a car's
+    length; with fewer than `min_points` there, nothing is known.
+    """
+    middle = np.median(p_world[:, :2], axis=0)
+    near = static[np.hypot(*(static[:, :2] - middle).T) < CAR_SIZE_M[0]]
+    if len(near) < min_points:
+        return False
+    ground = np.quantile(near[:, 2], 0.1)
+    return bool(np.quantile(p_world[:, 2], 0.9) < ground + LEAST_HEIGHT_M)
 
 
 def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
