@@ -19,6 +19,7 @@ from ovmot.feature_table import (
 from ovmot.frame_jobs import FrameJobs, Known, Step, Tracked
 from ovmot.frontend import FRONT_ENDS
 from ovmot.frontend.epipolar import match_sigma
+from ovmot.frontend.remote import RemoteFrontEnd
 from ovmot.geometry.arrays import FloatArray
 from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
 from ovmot.initialization.initializer import FilterInitializer
@@ -79,7 +80,8 @@ class Odometry:
     frontend
         Another front end than the one that `tracker.cameras` names.
     threads
-        1: everything in the calling thread. 2: in two threads of its own.
+        1: everything in the calling thread. 2: the front end runs beside the later stages, each in
+        a thread of its own, a `frontend` of ours in a process of its own.
     on_result
         Called with each `FrameResult` as soon as it is there, by the thread that made it.
 
@@ -107,9 +109,7 @@ class Odometry:
         self._initializer: Initializer = initializer or FilterInitializer(
             rig, noise_in_use(imu_noise, settings.imu), settings
         )
-        self._frontend: FrontEnd = frontend or FRONT_ENDS[settings.tracker.cameras](
-            rig, settings.tracker, settings.epipolar, threads
-        )
+        self._frontend: FrontEnd = frontend or _front_end(rig, settings, threads)
         self._rig = rig
         self._objects = MovingObjects(rig, settings)
         # the calling thread's: events, and the frames that are worked on
@@ -400,6 +400,13 @@ class Odometry:
     def _part(self, known: Known) -> Initializer | OdometrySource:
         """What knows the clocks: the source, or the initializer before there is one."""
         return self._initializer if known.source is None else known.source
+
+
+def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEnd:
+    """The front end that the settings name."""
+    if threads > 1:
+        return RemoteFrontEnd(rig, settings.tracker, settings.epipolar)
+    return FRONT_ENDS[settings.tracker.cameras](rig, settings.tracker, settings.epipolar, 1)
 
 
 def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:

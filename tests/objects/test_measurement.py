@@ -206,4 +206,4 @@ def test_a_body_that_lies_on_the_ground_around_it_is_none() -> None:
     assert lies_flat(patch, static)
     assert not lies_flat(car, static)
     assert not lies_flat(patch, static[:3])  # too little to know the ground
-    assert not lies_flat(patch, static + [20.0, 0.0, 0.0])  # nor is it known elsewhere
+    assert not lies_flat(patch, static + np.array([20.0, 0.0, 0.0]))  # nor is it known elsewhere

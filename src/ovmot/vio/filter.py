@@ -23,7 +23,7 @@ from ovmot.vio.imu_buffer import ImuBuffer
 from ovmot.vio.integrators import INTEGRATORS
 from ovmot.vio.landmarks import no_landmarks
 from ovmot.vio.online_calibration import calibrated_rig, make_calibration
-from ovmot.vio.propagation import Propagation, clone_pose, propagate, propagate_imu
+from ovmot.vio.propagation import Propagation, clone_pose, predicted_poses, propagate, propagate_imu
 from ovmot.vio.slam_features import change_anchor
 from ovmot.vio.state import (
     N_IMU,
@@ -67,16 +67,18 @@ class MsckfFilter:
     def predicted_motion(self, before_ns: int, frame_ns: int, imu: ImuBuffer) -> FloatArray:
         """T_now_before (4, 4) of the left camera between two frames, by the IMU from the newest
         state; raises `DatasetError` where `imu` does not reach so far."""
-        imu_state, time_ns, poses = self.state.imu, self.state.timestamp_ns, []
-        for stamp in (before_ns, frame_ns):
-            end_ns = self.imu_time_ns(stamp)
-            if end_ns > time_ns:
-                samples = imu.between(time_ns, end_ns)
-                imu_state = self._integrated(imu_state, imu_state, samples, imu).imu
-                time_ns = end_ns
-            poses.append(pose_matrix(imu_state))
+        state, gravity = self.state, self.settings.filter.gravity_mps2
+        start_ns = state.timestamp_ns
+        before, now = (max(self.imu_time_ns(stamp), start_ns) for stamp in (before_ns, frame_ns))
+        samples = imu.between(start_ns, now, also_at_ns=(before,))
+        T_world_imu = predicted_poses(state.imu, samples, gravity, state.calibration)
+        at_before = int(np.searchsorted(samples.timestamp_ns, before))
         T_imu_cam0 = self.calibrated_rig().T_imu_cam0
-        T_now_before: FloatArray = se3.inverse(poses[1] @ T_imu_cam0) @ poses[0] @ T_imu_cam0
+        T_world_before, T_world_now = (
+            T_world_imu[at_before] @ T_imu_cam0,
+            T_world_imu[-1] @ T_imu_cam0,
+        )
+        T_now_before: FloatArray = se3.inverse(T_world_now) @ T_world_before
         return T_now_before
 
     def propagate(self, frame_ns: int, imu: ImuBuffer) -> "MsckfFilter":

@@ -40,11 +40,13 @@ class ImuBuffer:
         self._stamps.append(sample.timestamp_ns)
         self._rates.append(np.concatenate([sample.gyro, sample.accel]))
 
-    def between(self, start_ns: int, end_ns: int, *, held_ns: int = 0) -> ImuData:
+    def between(
+        self, start_ns: int, end_ns: int, *, held_ns: int = 0, also_at_ns: tuple[int, ...] = ()
+    ) -> ImuData:
         """Samples from `start_ns` to `end_ns`, both ends interpolated linearly.
 
-        The newest sample is held for `held_ns` at most. Raises `DatasetError` when the buffer does
-        not reach over both ends.
+        And those `also_at_ns`, times inside the interval. The newest sample is held for `held_ns`
+        at most. Raises `DatasetError` when the buffer does not reach over both ends.
         """
         if len(self) < 2 or not (
             self._stamps[0] <= start_ns < end_ns <= self._stamps[-1] + held_ns
@@ -55,6 +57,8 @@ class ImuBuffer:
         rates = np.array(self._rates[lo : hi + 1])
         inner = stamps[(stamps > start_ns) & (stamps < end_ns)]
         interval = np.concatenate([[start_ns], inner, [end_ns]]).astype(np.int64)
+        if also_at_ns:
+            interval = np.union1d(interval, np.array(also_at_ns, dtype=np.int64))
         # seconds since the start: epoch nanoseconds do not fit into a double
         at, measured_at = (interval - start_ns) * 1e-9, (stamps - start_ns) * 1e-9
         columns = [np.interp(at, measured_at, rates[:, i]) for i in range(6)]

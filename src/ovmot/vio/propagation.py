@@ -21,6 +21,7 @@ from ovmot.vio.online_calibration import (
 )
 from ovmot.vio.propagation_kernel import (
     chain_pairs_compiled,
+    chain_poses_compiled,
     clone_covariance_compiled,
     propagate_covariance_compiled,
 )
@@ -88,6 +89,20 @@ def propagate_imu(
     g = np.array([0.0, 0.0, -gravity])
     transition = _with_first_estimates(transition, imu_first, end, float(dt.sum()), g)
     return Propagation(end, transition, covariance, gyro[-1])
+
+
+def predicted_poses(
+    imu: ImuState, samples: ImuData, gravity: float, calibration: OnlineCalibration
+) -> FloatArray:
+    """Poses T_world_imu (n + 1, 4, 4) at the samples (n + 1), from the state at the first one."""
+    bias = (imu.gyro_bias, imu.accel_bias)
+    gyro, accel = correct_imu(samples.gyro, samples.accel, bias, imu_intrinsics(calibration))
+    dt = np.diff(samples.timestamp_ns) * 1e-9
+    poses: FloatArray = chain_poses_compiled(
+        pose_matrix(imu), imu.velocity, gravity,
+        np.ascontiguousarray(gyro), np.ascontiguousarray(accel), dt,
+    )  # fmt: skip
+    return poses
 
 
 def propagate(state: State, result: Propagation, timestamp_ns: int) -> State:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.kernels.rotations import multiply, orthonormalize, right_jacobian
+from ovmot.kernels.rotations import multiply, orthonormalize, right_jacobian, rotation_exp
 
 _THETA, _POSITION, _VELOCITY, _BIAS = 0, 3, 6, 9
 _N_IMU, _POSE = 15, 6
@@ -164,6 +164,31 @@ def chain_pairs(
     return T, v, Phi, Q
 
 
+def chain_poses(
+    T_world_imu: FloatArray, velocity: FloatArray, gravity: float,
+    gyro: FloatArray, accel: FloatArray, dt: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Poses (n + 1, 4, 4) at n + 1 samples, from that at the first one; their mean alone.
+
+    `gyro`, `accel` (n + 1, 3): rates and forces without bias, their means constant over the `dt`
+    (n,) of a pair.
+    """
+    poses, v = np.empty((len(dt) + 1, 4, 4)), velocity.copy()
+    T = T_world_imu.copy()
+    poses[0] = T
+    turned, turn, dv, dp = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(3)
+    for n in range(len(dt)):
+        h = dt[n]
+        for i in range(3):
+            turned[i] = 0.5 * (gyro[n, i] + gyro[n + 1, i]) * h
+            dv[i] = 0.5 * (accel[n, i] + accel[n + 1, i]) * h
+            dp[i] = 0.5 * dv[i] * h
+        rotation_exp(turned, turn)
+        _move(T, v, turn, dv, dp, h, gravity)
+        poses[n + 1] = T
+    return poses
+
+
 def propagate_covariance(P: FloatArray, Phi: FloatArray, Q: FloatArray) -> FloatArray:
     """P (N, N) after an interval: its first 15 rows and columns through Φ (15, n), plus Q.
 
@@ -227,6 +252,7 @@ def covariance_of(P: FloatArray, kept: IntArray) -> FloatArray:
 
 _FOLDER = code_folder(Path(__file__))
 chain_pairs_compiled = compiled(chain_pairs, _FOLDER)
+chain_poses_compiled = compiled(chain_poses, _FOLDER)
 propagate_covariance_compiled = compiled(propagate_covariance, _FOLDER)
 clone_covariance_compiled = compiled(clone_covariance, _FOLDER)
 covariance_of_compiled = compiled(covariance_of, _FOLDER)
