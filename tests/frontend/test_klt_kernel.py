@@ -43,7 +43,7 @@ def by_flow_alone(
     uv, _, state = find_features_compiled(
         build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels,
         patch_image(target), WINDOW, store.grey, store.steepest, store.inverse, slot,
-        points, start, store.warp[slot], n_levels, never, never, 8, 0.02,
+        points, start, store.warp[slot], np.full(len(points), n_levels), never, never, 8, 0.02,
     )  # fmt: skip
     return uv, state != LOST
 

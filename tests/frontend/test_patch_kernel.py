@@ -71,7 +71,7 @@ def test_the_compiled_alignment_agrees_with_the_twin() -> None:
     levels, no_flow = build_pyramid(target_image, SETTINGS).levels, 0
     uv, warp, state = find_features_compiled(
         levels, levels, target, SETTINGS.klt_window_px, store.grey, store.steepest, store.inverse,
-        slot, points, start, store.warp[slot], no_flow,
+        slot, points, start, store.warp[slot], np.full(len(points), no_flow),
         MIN_CORRELATION, MIN_CORRELATION, STEPS, SMALL,
     )  # fmt: skip
     fits = state == ALIGNED

@@ -24,7 +24,7 @@ _States = npt.NDArray[np.uint8]
 def find_features(
     source: tuple[_Float32, ...], target: tuple[_Float32, ...], words: Quads, side: int,
     grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray,
-    points: FloatArray, start: FloatArray, start_warp: FloatArray, n_levels: int,
+    points: FloatArray, start: FloatArray, start_warp: FloatArray, n_levels: IntArray,
     min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
 ) -> tuple[FloatArray, FloatArray, _States]:  # fmt: skip
     """Where features are in another image: pixels (N, 2), warps (N, 2, 2), states (N,).
@@ -37,7 +37,7 @@ def find_features(
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
     holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey`
     (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of feature n that at
-    `slot[n]`. `n_levels` of the pyramids are searched.
+    `slot[n]`. `n_levels` (N,) of the pyramids are searched; with none, the patch alone is.
     """
     n_points = len(points)
     uv, warp = start.copy(), start_warp.copy()
@@ -68,9 +68,11 @@ def find_features(
             if ok and math.hypot(u - uv[n, 0], v - uv[n, 1]) < MAX_ROUND_TRIP_PX:
                 state[n] = ALIGNED
                 continue
+        if n_levels[n] == 0:
+            continue
         # by flow, and by the patch from where that leads
         u, v, ok = flow_there_and_back(
-            source, target, n_levels, side, room, u0, v0, begin_u, begin_v
+            source, target, n_levels[n], side, room, u0, v0, begin_u, begin_v
         )
         uv[n, 0], uv[n, 1], warp[n] = u, v, start_warp[n]
         if not ok:

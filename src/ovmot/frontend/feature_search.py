@@ -41,11 +41,12 @@ class Sought:
     slot: IntArray
 
 
-def find_features(sought: Sought, view: View, start: FloatArray, n_levels: int) -> Found:
+def find_features(sought: Sought, view: View, start: FloatArray, n_levels: int | IntArray) -> Found:
     """Where the features are in a view, from predicted pixels `start` (N, 2), NaN: where they were.
 
     The first patch is aligned with the predicted place. Where it does not fit, optical flow on
-    `n_levels` of the pyramid, there and back, leads to where it is aligned again.
+    `n_levels` of the pyramid (of all, or (N,)), there and back, leads to where it is aligned again;
+    with none it is lost.
     """
     return _find(sought, view, start, np.arange(len(start)), n_levels)
 
@@ -126,7 +127,7 @@ def _find(
     view: View,
     start: FloatArray,
     row: IntArray,
-    n_levels: int,
+    n_levels: int | IntArray,
     *,
     max_steps: int = 12,
     small_step_px: float = 0.005,
@@ -138,10 +139,12 @@ def _find(
     average out.
     """
     store, slot = sought.store, sought.slot[row]
+    levels = np.full(len(row), n_levels, dtype=np.int64)
+    np.minimum(levels, len(view.pyramid.levels), out=levels)
     uv, warp, state = find_features_compiled(
         sought.pyramid.levels, view.pyramid.levels, view.words, view.pyramid.window,
         store.grey, store.steepest, store.inverse, slot,
-        sought.uv[row], start, store.warp[slot], min(n_levels, len(view.pyramid.levels)),
+        sought.uv[row], start, store.warp[slot], levels,
         MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,
     )  # fmt: skip
     return Found(uv, warp, state != LOST, state == ALIGNED)

@@ -101,7 +101,10 @@ class StereoTracker:
         start = predict_right(points.xy, depth, self._rig)
         # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
-        first = find_features(sought, right, start, near_levels(self._settings))
+        # one that has had no match so far has none by flow: its patch alone is tried again
+        unmatched = (points.track_length > 0) & np.isnan(points.depth)
+        n_levels = np.where(unmatched, 0, near_levels(self._settings))
+        first = find_features(sought, right, start, n_levels)
         # the depth of a new feature is a guess: its match may be far from the prediction
         no_other, far = np.empty((0, *start.shape)), start.copy()
         far[points.track_length > 0] = np.nan
