@@ -3,8 +3,8 @@
     python benchmarks/house.py [ROOT]
 
 A numeric constant is a module-level assignment in capitals whose value holds a number; each name
-counts. Not counted: the layout of a vector (slices, sizes and indices of coordinates), a literal
-dictionary.
+counts. Not counted: the layout of a vector (slices, sizes and indices of coordinates), codes of
+states, what follows from other constants, a literal dictionary.
 """
 
 import ast
@@ -17,7 +17,8 @@ CORE = ("frontend", "segmentation", "vio", "initialization")
 LAYOUT = frozenset(
     {"THETA", "POSITION", "VELOCITY", "GYRO_BIAS", "ACCEL_BIAS", "TIME_OFFSET", "N_IMU", "N_BASE",
      "CLONE_SIZE", "KEYFRAME_SIZE", "BIAS_OF_GYRO", "BIAS_OF_ACCEL", "OFFSET", "YAW_RATE",
-     "N_STATE", "NO_ANCHOR", "NOT_KEPT", "LEFT", "RIGHT"}
+     "N_STATE", "NO_ANCHOR", "NOT_KEPT", "LEFT", "RIGHT", "LOST", "TRACKED", "ALIGNED", "POSE",
+     "POINT", "VIEW", "BIAS", "UPPER", "FOCAL_AND_CENTER", "VELOCITY_DOF", "NO_IMAGE"}
 )  # fmt: skip
 SHORT_LINES, LONG_LINES, LONG_FUNCTION = 40, 350, 50
 
@@ -41,7 +42,7 @@ def constants(path: Path) -> list[str]:
         else:
             continue
         names = [n.id for n in ast.walk(target) if isinstance(n, ast.Name)]
-        if isinstance(value, ast.Dict) or not _holds_a_number(value):
+        if isinstance(value, ast.Dict) or not _holds_a_number(value) or _follows(value):
             continue
         found += [n for n in names if n.isupper() and n.strip("_") not in LAYOUT]
     return found
@@ -54,6 +55,11 @@ def _holds_a_number(value: ast.expr) -> bool:
         and not isinstance(n.value, bool)
         for n in ast.walk(value)
     )
+
+
+def _follows(value: ast.expr) -> bool:
+    """Is a value computed from another constant?"""
+    return any(isinstance(n, ast.Name) and n.id.isupper() for n in ast.walk(value))
 
 
 def functions(path: Path, root: Path) -> Iterator[Function]:

@@ -112,15 +112,14 @@ def measure_objects(
     measured = _measured(views, refined, window, clones, settings)
     # 6 those that move and are no part of another
     bodies = []
-    ground = _static_points(points, T_world_cam0)
+    static = _static_points(points, T_world_cam0)
     for k, own in enumerate(np.split(measured.members, np.cumsum(measured.n_members))[:-1]):
         if len(own) >= settings.min_points and not _is_aloft(measured.middle[k], T_world_cam0):
             body = _measurement(
                 k, own, moving.feature_id[index], views, refined, measured, may_turn, settings
             )
-            if lies_flat(body.p_world, ground):
-                continue
-            if _moves(body, T_world_cam0, rig, settings, of_points):
+            moves = _moves(body, T_world_cam0, rig, settings, of_points)
+            if moves and not lies_flat(body.p_world, static):
                 track_id = majority_track(moving.track_id[index[own]])
                 bodies.append(_Body(int(found.group[k]), track_id, body))
     return _without_parts(bodies, settings)
@@ -179,12 +178,12 @@ def lies_flat(p_world: FloatArray, static: FloatArray, *, min_points: int = 5) -
     low as `LEAST_HEIGHT_M`. The ground is the lowest tenth of the static points within a car's
     length; with fewer than `min_points` there, nothing is known.
     """
-    middle = np.median(p_world[:, :2], axis=0)
-    near = static[np.hypot(*(static[:, :2] - middle).T) < CAR_SIZE_M[0]]
+    offset = static[:, :2] - p_world[:, :2].mean(axis=0)
+    near = np.sort(static[(offset**2).sum(axis=1) < CAR_SIZE_M[0] ** 2, 2])
     if len(near) < min_points:
         return False
-    ground = np.quantile(near[:, 2], 0.1)
-    return bool(np.quantile(p_world[:, 2], 0.9) < ground + LEAST_HEIGHT_M)
+    own, ground = np.sort(p_world[:, 2]), near[len(near) // 10]
+    return bool(own[-1 - len(own) // 10] < ground + LEAST_HEIGHT_M)
 
 
 def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:

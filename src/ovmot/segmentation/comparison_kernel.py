@@ -16,8 +16,6 @@ from ovmot.kernels.cache import code_folder, compiled, inlined_part
 from ovmot.kernels.small_matrices import add_products, invert_symmetric, whiten
 from ovmot.kernels.stereo import project, secant, stereo_covariance, transform
 
-_LEAST_DEPTH = 0.1  # metres, of a predicted point
-
 
 class Pairs(NamedTuple):
     """Stereo pairs and positions of N points at L earlier frames and now, as `StereoHistory`.
@@ -168,7 +166,7 @@ def no_comparison(n_points: int) -> Rest:
 def predict_point(pairs: Pairs, ego: EgoMotion, row: int, n: int, s: Scratch) -> bool:
     """Where point n of an earlier row is now, if it is static; False where that is nowhere."""
     transform(ego.T_now_then[row], pairs.p_then[row, n], s.predicted)
-    return bool(s.predicted[2] > _LEAST_DEPTH)
+    return bool(s.predicted[2] > 0.1)  # metres
 
 
 @inlined_part

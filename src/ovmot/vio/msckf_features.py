@@ -24,10 +24,9 @@ from ovmot.vio.online_calibration import (
     camera_pose_jacobian,
     intrinsics_jacobian,
 )
+from ovmot.vio.reprojection_kernel import IMAGE_MARGIN
 from ovmot.vio.state import N_BASE, Clones, State
 from ovmot.vio.triangulation_kernel import triangulate_views_compiled
-
-_IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
 DEPTH_RANGE_M = (0.1, 150.0)
 """Triangulated points nearer or farther are not used: beyond, a window's parallax is noise."""
@@ -132,7 +131,7 @@ def reproject(
         residual[..., rows] = pixels[..., rows] - camera.project(se3.apply(T_cam_imu, p_imu))
         p_cam = se3.apply(T_cam_imu, p_first)
         at_first, J = camera.project_with_jacobian(p_cam)
-        in_image[..., rows] = camera.inside(at_first, -_IMAGE_MARGIN * camera.width)[..., None]
+        in_image[..., rows] = camera.inside(at_first, -IMAGE_MARGIN * camera.width)[..., None]
         J_imu = J @ T_cam_imu[:3, :3]
         by_point[..., rows, :] = J_imu @ first[None, :, :3, :3]
         by_pose[..., rows, :3] = J_imu @ by_theta

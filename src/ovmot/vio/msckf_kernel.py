@@ -30,7 +30,6 @@ from ovmot.vio.update_kernel import (
 )
 
 _POINT, _POSE, _VIEW = 3, 6, 4  # coordinates of a point and a clone; of a stereo view
-_LEAST_PIVOT = 1e-13  # of a diagonal of ones: what is less of it is rounding
 
 
 @part
@@ -155,7 +154,7 @@ def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
         for i in range(1, n):
             if left[i] > left[p]:
                 p = i
-        if not left[p] > _LEAST_PIVOT:
+        if not left[p] > 1e-13:  # of a diagonal of ones: what is less is rounding
             break
         pivot = math.sqrt(left[p])
         for i in range(n + 1):

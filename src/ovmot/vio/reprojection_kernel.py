@@ -12,7 +12,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import part
 from ovmot.kernels.stereo import transform
 
-_IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
+IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
 
 @part
@@ -45,7 +45,7 @@ def _view_rows(
 def _is_beside(lens: int, camera: FloatArray, x: float, y: float) -> bool:
     """Is a point of the ideal image plane in the image, or close beside it?"""
     u, v = to_pixel(lens, camera, x, y)
-    beside = _IMAGE_MARGIN * camera[10]
+    beside = IMAGE_MARGIN * camera[10]
     in_width = -beside <= u <= camera[10] - 1.0 + beside
     return bool(in_width and -beside <= v <= camera[11] - 1.0 + beside)
 

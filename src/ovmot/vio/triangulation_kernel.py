@@ -13,10 +13,6 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.small_matrices import invert_symmetric
 
-_ITERATIONS = 6
-_TOLERANCE = 1e-7  # of a step, in normalized coordinates and 1/m
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e3
-
 
 @part
 def relative_pose(T_view_world: FloatArray, T_anchor_world: FloatArray, out: FloatArray) -> None:
@@ -92,7 +88,7 @@ def _refine(
     g, trial_g, trial = np.empty(3), np.empty(3), np.empty(3)
     damping = 1e-4
     cost = _system(point, xy, T, n, N, g)
-    for _ in range(_ITERATIONS):
+    for _ in range(6):
         for i in range(3):
             for j in range(i, 3):
                 trial_N[i, j] = N[i, j]
@@ -108,14 +104,14 @@ def _refine(
         trial[2] = max(trial[2], least_inverse)
         trial_cost = _system(trial, xy, T, n, trial_N, trial_g)
         if trial_cost <= cost:
-            cost, damping = trial_cost, max(0.1 * damping, _LEAST_DAMPING)
+            cost, damping = trial_cost, max(0.1 * damping, 1e-9)
             for i in range(3):
                 point[i], g[i] = trial[i], trial_g[i]
                 for j in range(i, 3):
                     N[i, j] = trial_N[i, j]
         else:
-            damping = min(10.0 * damping, _MOST_DAMPING)
-        if largest < _TOLERANCE:
+            damping = min(10.0 * damping, 1e3)
+        if largest < 1e-7:  # a step in normalized coordinates and 1/m
             break
     return cost
 
