@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.camera import Camera
+from ovmot.cameras.models import CAMERA_MODELS
 from ovmot.errors import CalibrationError, InputError
 from ovmot.geometry.arrays import FloatArray
 
@@ -142,7 +143,7 @@ def test_inside_counts_the_outermost_pixel_centres() -> None:
         ({"focal": (0.0, 400.0)}, "impossible"),
         ({"focal": (np.nan, 400.0)}, "finite"),
         ({"center": (np.inf, 200.0)}, "finite"),
-        ({"model": "pinhole-radtan8"}, "known: radtan, equidistant, none"),
+        ({"model": "pinhole-radtan8"}, f"known: {', '.join(CAMERA_MODELS)}"),
         ({"distortion": [0.1, 0.2, 0.3]}, "4 or 5 coefficients, got 3"),
         ({"distortion": [0.1, 0.2, 0.3, np.nan]}, "finite"),
     ],
