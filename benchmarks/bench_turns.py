@@ -62,20 +62,22 @@ def take_turns(
     runs: int,
     *,
     with_share: bool = False,
+    threads: int = 2,
 ) -> dict[str, Turns]:
     """The floor's loop and a run of each of the `variants` in turn, `runs` times.
 
     One run of the first variant comes before them, so that all that is compiled or loaded at the
-    first use is there. `with_share`: one more run of each variant, with its calls counted. Raises
+    first use is there. `with_share`: one more run of each variant, in one
+    thread, with its calls counted. `threads`: of the odometry. Raises
     `OvmotError` where the odometry does not start.
     """
-    _run(recording, next(iter(variants.values())))
+    _run(recording, next(iter(variants.values())), threads)
     pairs = recording.pairs
     floors = [measure_floor(pairs)]
     found: dict[str, list[tuple[RunTimes, float, float]]] = {name: [] for name in variants}
     for _ in range(runs):
         for name, settings in variants.items():
-            run = _run(recording, settings)
+            run = _run(recording, settings, threads)
             floors.append(measure_floor(pairs))
             before, after = floors[-2:]
             wall = 0.5 * (before.total_ms + after.total_ms)
@@ -91,11 +93,12 @@ def take_turns(
     }
 
 
-def _run(recording: Recording, settings: ovmot.Settings) -> RunTimes:
-    return run_once(ovmot.Odometry(recording.rig, recording.imu_noise, settings), recording.events)
+def _run(recording: Recording, settings: ovmot.Settings, threads: int) -> RunTimes:
+    odometry = ovmot.Odometry(recording.rig, recording.imu_noise, settings, threads=threads)
+    return run_once(odometry, recording.events)
 
 
 def _share(recording: Recording, settings: ovmot.Settings) -> PythonShare:
     with counted_calls() as clock:
-        run = _run(recording, settings)
+        run = _run(recording, settings, 1)
     return python_share(run, clock)

@@ -75,6 +75,7 @@ class RemoteFrontEnd:
         """End the process; a second call does nothing."""
         self._requests.close()
         self._replies.close()
+        self._process.terminate()  # it has nothing to save
         self._process.wait()
 
     def _send(self, request: object) -> None:
