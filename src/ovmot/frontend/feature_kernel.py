@@ -22,7 +22,7 @@ _States = npt.NDArray[np.uint8]
 
 
 def find_features(
-    source: tuple[_Float32, ...], target: tuple[_Float32, ...], words: Quads, side: int,
+    source: tuple[Image, ...], target: tuple[Image, ...], words: Quads, side: int,
     grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray,
     points: FloatArray, start: FloatArray, start_warp: FloatArray, n_levels: IntArray,
     min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
@@ -35,7 +35,8 @@ def find_features(
     answer stays, with the warp it started from. Nothing is sought outside the image.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
-    holds `points` (N, 2) and of the one searched; `words`: the latter by `pack_quads`. `grey`
+    holds `points` (N, 2) and of the one searched; `words`: the latter by
+    `preprocessing.patch_image`. `grey`
     (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of feature n that at
     `slot[n]`. `n_levels` (N,) of the pyramids are searched; with none, the patch alone is.
     """
@@ -101,20 +102,6 @@ def cut_patches(
         cut_patch(words, uv[n, 0], uv[n, 1], wide, grey[at], steepest[at], inverse[at], damping)
 
 
-def pack_quads(image: Image) -> Quads:
-    """The words (height - 1, width - 1) of an image: one load has all that a sample needs."""
-    height, width = image.shape
-    words = np.empty((height - 1, width - 1), dtype=np.int32)
-    for i in range(height - 1):
-        row, below = image[i], image[i + 1]
-        for j in range(width - 1):
-            upper = np.int32(row[j]) | np.int32(row[j + 1]) << 8
-            lower = np.int32(below[j]) | np.int32(below[j + 1]) << 8
-            words[i, j] = np.int32(upper | lower << 16)
-    return words
-
-
 _folder = code_folder(Path(__file__))
 find_features_compiled = compiled(find_features, _folder)
-pack_quads_compiled = compiled(pack_quads, _folder)
 cut_patches_compiled = compiled(cut_patches, _folder)

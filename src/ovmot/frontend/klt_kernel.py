@@ -16,6 +16,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ovmot.geometry.arrays import Image
 from ovmot.kernels.cache import part, reordered_part
 
 MAX_STEPS = 20
@@ -34,12 +35,12 @@ LANES = 32
 """Pixels that one turn of a loop takes: two vectors of AVX-512, in single precision."""
 
 _Float32 = npt.NDArray[np.float32]
-_Images = tuple[_Float32, ...]
+_Images = tuple[Image, ...]
 
 
 @reordered_part
 def _copy_rows(
-    image: _Float32, left: int, top: int, n_rows: int, stride: int, block: _Float32
+    image: Image, left: int, top: int, n_rows: int, stride: int, block: _Float32
 ) -> None:
     """Copy rows of an image, from pixel (left, top) on."""
     for i in range(n_rows):
@@ -112,7 +113,7 @@ def _mismatch(
 
 @reordered_part
 def _take_window(
-    image: _Float32, left: int, top: int, a: float, b: float,
+    image: Image, left: int, top: int, a: float, b: float,
     side: int, border: tuple[int, int, int, int], room: _Float32,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Fill `room` with the wide window at (left + a, top + b) and its derivatives; `_products`.
@@ -133,7 +134,7 @@ def _take_window(
 
 @reordered_part
 def _descend(
-    image: _Float32, side: int, room: _Float32, u: float, v: float, uu: float, uv: float, vv: float
+    image: Image, side: int, room: _Float32, u: float, v: float, uu: float, uv: float, vv: float
 ) -> tuple[float, float]:
     """Gauss-Newton steps from (u, v) in one level of the target, for the window in `room`.
 

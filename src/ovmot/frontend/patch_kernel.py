@@ -192,7 +192,7 @@ def align_patch(
 ) -> float:  # fmt: skip
     """Move `uv` (2,) and `warp` (2, 2), in place, to where a patch fits; the correlation there.
 
-    `words`: the image, see `feature_kernel.pack_quads`. `grey` (PADDED,), `steepest` (6, PADDED),
+    `words`: the image, see `preprocessing.patch_image`. `grey` (PADDED,), `steepest` (6, PADDED),
     `inverse` (6, 6) of the patch as `cut_patch` makes them. It stops after `most_steps`, where
     the shifts still to come are below `small_step`, as they fall by one factor from step to step,
     or `SIGMA_PX` from its start: the correlation is then 0, as it is where the warp is singular or
