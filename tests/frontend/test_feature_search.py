@@ -16,6 +16,7 @@ from ovmot.frontend.feature_search import (
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import View, build_pyramid, patch_image
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image
+from ovmot.runtime import CallingThread
 from ovmot.settings import TrackerSettings
 
 SETTINGS = TrackerSettings(klt_window_px=15, klt_levels=5)
@@ -59,7 +60,9 @@ def found(
 ) -> Found:  # fmt: skip
     view = view_of(target, settings)
     n_levels = near_levels(settings)
-    return find_features(sought_in(source, points, settings), view, start, n_levels)
+    return find_features(
+        sought_in(source, points, settings), view, start, n_levels, CallingThread()
+    )
 
 
 def look(
@@ -150,19 +153,19 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     moved = points[:, 0] > 150
     near = SETTINGS.model_copy(update={"klt_levels": 3})
     sought, view = sought_in(source, points, near), view_of(target, near)
-    first = find_features(sought, view, unknown(points), near_levels(near))
+    first = find_features(sought, view, unknown(points), near_levels(near), CallingThread())
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
     starts = (points + shift)[None]
-    again = recover_lost(sought, view, first, starts, points, near)
+    again = recover_lost(sought, view, first, starts, points, near, CallingThread())
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
     flat = np.full_like(target, 128)
     flat[:, :150] = target[:, :150]
     view = view_of(flat, near)
-    nowhere = find_features(sought, view, unknown(points), near_levels(near))
-    again = recover_lost(sought, view, nowhere, starts, points, near)
+    nowhere = find_features(sought, view, unknown(points), near_levels(near), CallingThread())
+    again = recover_lost(sought, view, nowhere, starts, points, near, CallingThread())
     assert not again.found[points[:, 0] > 170].any()
 
 

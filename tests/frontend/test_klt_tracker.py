@@ -101,7 +101,7 @@ def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_rea
 ) -> None:
     """It moves by 34 pixels, within two cells of 20; what is static stays."""
     settings = TrackerSettings(fine_columns=16, equalization="none")
-    tracker = KltTracker(settings, FeatureIds())
+    tracker = KltTracker(settings, workers, FeatureIds())
     images = street_and_body(100), street_and_body(134)
     views = [
         preprocess(StereoFrame(k, image, image), painted_rig, settings, workers)[0]

@@ -9,6 +9,7 @@ from ovmot.frontend.feature_search import Found, Sought, find_features
 from ovmot.frontend.patches import PatchStore, is_rescaled
 from ovmot.frontend.preprocessing import View, build_pyramid, patch_image
 from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.runtime import CallingThread
 from ovmot.settings import TrackerSettings
 
 SETTINGS = TrackerSettings()
@@ -42,7 +43,7 @@ def found(
     sought = Sought(build_pyramid(source, SETTINGS), points, store, slot)
     camera = Camera.make((320, 240), (300.0, 300.0), (160.0, 120.0))
     view = View(target, build_pyramid(target, SETTINGS), patch_image(target), None, camera)
-    return find_features(sought, view, start, n_levels)
+    return find_features(sought, view, start, n_levels, CallingThread())
 
 
 @pytest.mark.parametrize(

@@ -280,8 +280,8 @@ def test_wrong_matches_of_any_kind_are_rejected(
     frames = [painted_pair(10**8 * i, STEP_M * i) for i in range(4)]
     rights = [build_pyramid(frame.right, TRACKER).levels[0] for frame in frames]
 
-    def lying(sought: Sought, view: View, start: FloatArray, n_levels: int) -> Found:
-        now = find_features(sought, view, start, n_levels)
+    def lying(sought: Sought, view: View, start: FloatArray, *rest: object) -> Found:
+        now = find_features(sought, view, start, *rest)  # type: ignore[arg-type]
         if any(np.array_equal(view.pyramid.levels[0], right) for right in rights):
             now.uv[::5, 1] += 9.0
         return now

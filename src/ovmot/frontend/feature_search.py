@@ -1,5 +1,6 @@
 """The search for features in another image, from predicted places: patches, flow, templates."""
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -9,7 +10,7 @@ from ovmot.frontend.feature_kernel import ALIGNED, LOST, find_features_compiled
 from ovmot.frontend.klt_kernel import margin_of
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import Pyramid, View
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ovmot.settings import TrackerSettings
 
 MIN_CORRELATION = 0.85
@@ -41,14 +42,16 @@ class Sought:
     slot: IntArray
 
 
-def find_features(sought: Sought, view: View, start: FloatArray, n_levels: int | IntArray) -> Found:
+def find_features(
+    sought: Sought, view: View, start: FloatArray, n_levels: int | IntArray, helper: Executor
+) -> Found:
     """Where the features are in a view, from predicted pixels `start` (N, 2), NaN: where they were.
 
     The first patch is aligned with the predicted place. Where it does not fit, optical flow on
     `n_levels` of the pyramid (of all, or (N,)), there and back, leads to where it is aligned again;
-    with none it is lost.
+    with none it is lost. The `helper` takes half of the features, each feature by itself.
     """
-    return _find(sought, view, start, np.arange(len(start)), n_levels)
+    return _find(sought, view, start, np.arange(len(start)), n_levels, helper)
 
 
 def near_levels(settings: TrackerSettings) -> int:
@@ -67,6 +70,7 @@ def recover_lost(
     starts: FloatArray,
     around: FloatArray,
     settings: TrackerSettings,
+    helper: Executor,
 ) -> Found:
     """The features, with lost ones sought again: near `starts` (H, N, 2), then far `around` (N, 2).
 
@@ -80,7 +84,7 @@ def recover_lost(
         lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))
         if not len(lost):
             continue
-        again = _find(sought, view, start[lost], lost, n_levels)
+        again = _find(sought, view, start[lost], lost, n_levels, helper)
         rows = lost[again.fits]
         uv[rows], warp[rows] = again.uv[again.fits], again.warp[again.fits]
         found[rows] = fits[rows] = True
@@ -128,6 +132,7 @@ def _find(
     start: FloatArray,
     row: IntArray,
     n_levels: int | IntArray,
+    helper: Executor,
     *,
     max_steps: int = 12,
     small_step_px: float = 0.005,
@@ -138,13 +143,20 @@ def _find(
     earlier stays nearer to the prediction, and an error that agrees with the filter does not
     average out.
     """
-    store, slot = sought.store, sought.slot[row]
-    levels = np.full(len(row), n_levels, dtype=np.int64)
+    store, slot, points = sought.store, sought.slot[row], sought.uv[row]
+    start_warp, levels = store.warp[slot], np.full(len(row), n_levels, dtype=np.int64)
     np.minimum(levels, len(view.pyramid.levels), out=levels)
-    uv, warp, state = find_features_compiled(
-        sought.pyramid.levels, view.pyramid.levels, view.words, view.pyramid.window,
-        store.grey, store.steepest, store.inverse, slot,
-        sought.uv[row], start, store.warp[slot], levels,
-        MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,
-    )  # fmt: skip
+
+    def search(part: slice) -> tuple[AnyArray, ...]:
+        return find_features_compiled(
+            sought.pyramid.levels, view.pyramid.levels, view.words, view.pyramid.window,
+            store.grey, store.steepest, store.inverse, slot[part],
+            points[part], start[part], start_warp[part], levels[part],
+            MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,
+        )  # fmt: skip
+
+    half = len(row) // 2
+    others = helper.submit(search, slice(half, None))
+    both = zip(search(slice(half)), others.result(), strict=True)
+    uv, warp, state = (np.concatenate(parts) for parts in both)
     return Found(uv, warp, state != LOST, state == ALIGNED)

@@ -1,5 +1,6 @@
 """The KLT tracker of one camera: corners tracked from image to image."""
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,8 +64,9 @@ class FeatureIds:
 class KltTracker:
     """Tracks corners through one camera's images; remembers the last image and its points."""
 
-    def __init__(self, settings: TrackerSettings, ids: FeatureIds) -> None:
+    def __init__(self, settings: TrackerSettings, helper: Executor, ids: FeatureIds) -> None:
         self._settings = settings
+        self._helper = helper
         self._ids = ids
         self._pyramid: Pyramid | None = None
         self.points = no_points()
@@ -106,7 +108,7 @@ class KltTracker:
         start = np.where(moves[:, None], start, static_uv + last.extra_flow)
         # search there, and in other places for what is lost
         sought = Sought(self._pyramid, last.uv, self.patches, last.slot)
-        first = find_features(sought, view, start, near_levels(self._settings))
+        first = find_features(sought, view, start, near_levels(self._settings), self._helper)
         # a patch of the last image fits this one; an older one may be seen otherwise by now
         first = only_fitting(first, self.patches.is_new[last.slot])
         self.patches.is_new[:] = False
@@ -121,7 +123,7 @@ class KltTracker:
         # far from the prediction only where that is wrong: most features are lost then
         wrong = 2 * int(first.found.sum()) < len(last)
         far = static_uv if wrong else np.full_like(static_uv, np.nan)
-        now = recover_lost(sought, view, first, starts, far, self._settings)
+        now = recover_lost(sought, view, first, starts, far, self._settings, self._helper)
         xy = camera.normalize(now.uv)
         rows = np.flatnonzero(now.found & view.contains(now.uv) & np.isfinite(xy[:, 0]))
         uv, xy, slot = now.uv[rows], xy[rows], last.slot[rows]

@@ -35,14 +35,14 @@ class MonocularTracker:
     ) -> None:
         self._rig = rig
         self._settings = settings
-        self._workers = helping_thread(threads)
+        self._helper = helping_thread(threads)
         ids = FeatureIds()
-        self._trackers = {side: KltTracker(settings, ids) for side in sides}
+        self._trackers = {side: KltTracker(settings, self._helper, ids) for side in sides}
         self._positions = {side: np.empty((0, 3)) for side in sides}
 
     def close(self) -> None:
         """Stop the helping thread."""
-        self._workers.shutdown()
+        self._helper.shutdown()
 
     def track(
         self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
@@ -53,7 +53,7 @@ class MonocularTracker:
         `OvmotError` for a frame without images.
         """
         self._rig = feedback.rig
-        views = preprocess(frame, self._rig, self._settings, self._workers)
+        views = preprocess(frame, self._rig, self._settings, self._helper)
         points = {}
         for side, tracker in self._trackers.items():
             T = _motion_of(side, T_now_before, self._rig)

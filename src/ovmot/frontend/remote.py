@@ -122,7 +122,7 @@ def serve(requests_fd: int, replies_fd: int, images_fd: int) -> None:
     with suppress(EOFError, BrokenPipeError):
         rig, settings, epipolar = requests.recv()
         images = _SharedImages(rig, mmap.mmap(images_fd, 0))
-        front_end = FRONT_ENDS[settings.cameras](rig, settings, epipolar, 1)
+        front_end = FRONT_ENDS[settings.cameras](rig, settings, epipolar, 2)
         while True:
             frame, T_now_before, feedback = requests.recv()
             if isinstance(frame, StereoFrame):

@@ -26,7 +26,7 @@ class StereoTracker:
 
     A stereo match is made in every frame from that frame's left patch, so that left and right
     can not drift apart, and each passes the epipolar gate or loses its right half. With more than
-    one of `threads`, the right image is made ready beside the left one.
+    one of `threads`, a second one takes half of the images and of the features.
     """
 
     def __init__(
@@ -39,14 +39,14 @@ class StereoTracker:
         self._rig = rig
         self._settings = settings
         self._epipolar = epipolar
-        self._workers = helping_thread(threads)
-        self._left = KltTracker(settings, FeatureIds())
+        self._helper = helping_thread(threads)
+        self._left = KltTracker(settings, self._helper, FeatureIds())
         self._pairs = np.empty((0, 4))  # normalized coordinates of the last frame
         self._last_ns = 0
 
     def close(self) -> None:
         """Stop the helping thread."""
-        self._workers.shutdown()
+        self._helper.shutdown()
 
     def track(
         self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
@@ -58,7 +58,7 @@ class StereoTracker:
         without images.
         """
         self._rig = feedback.rig
-        left, right = preprocess(frame, self._rig, self._settings, self._workers)
+        left, right = preprocess(frame, self._rig, self._settings, self._helper)
         # track the left points, from where they were in space and how they move
         p_before = triangulate_stereo(self._pairs, self._rig.T_cam1_cam0)
         dt_s = 1e-9 * (frame.timestamp_ns - self._last_ns)
@@ -104,11 +104,11 @@ class StereoTracker:
         # one that has had no match so far has none by flow: its patch alone is tried again
         unmatched = (points.track_length > 0) & np.isnan(points.depth)
         n_levels = np.where(unmatched, 0, near_levels(self._settings))
-        first = find_features(sought, right, start, n_levels)
+        first = find_features(sought, right, start, n_levels, self._helper)
         # the depth of a new feature is a guess: its match may be far from the prediction
         no_other, far = np.empty((0, *start.shape)), start.copy()
         far[points.track_length > 0] = np.nan
-        seen = recover_lost(sought, right, first, no_other, far, self._settings)
+        seen = recover_lost(sought, right, first, no_other, far, self._settings, self._helper)
         uv = seen.uv
         ok = seen.found & right.contains(uv)
         # epipolar gate on every pair
