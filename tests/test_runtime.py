@@ -4,10 +4,11 @@ import os
 import subprocess
 import sys
 import time
+from functools import partial
 
 import pytest
 
-from ovmot.runtime import BLAS_THREAD_VARIABLES, Stopwatch
+from ovmot.runtime import BLAS_THREAD_VARIABLES, Stopwatch, do_together, helping_thread
 
 
 def output_of(code: str, **extra: str) -> str:
@@ -64,3 +65,20 @@ def test_a_stage_that_raises_is_timed_and_its_error_passed_on() -> None:
     with pytest.raises(ZeroDivisionError), watch.stage("update"):
         _ = 1 / 0
     assert watch.milliseconds["update"] >= 0.0
+
+
+def test_jobs_done_together_give_their_results_in_order() -> None:
+    jobs = [partial(pow, k, 2) for k in range(20)]
+    for threads in (1, 2):
+        with helping_thread(threads) as helper:
+            assert do_together(jobs, helper) == [k**2 for k in range(20)]
+            assert do_together([], helper) == []
+
+
+def test_what_a_job_raises_comes_through() -> None:
+    def fail() -> None:
+        raise ValueError("no")
+
+    for threads in (1, 2):
+        with helping_thread(threads) as helper, pytest.raises(ValueError, match="no"):
+            do_together([fail, fail], helper)

@@ -9,10 +9,13 @@ import ctypes
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
+
+_T = TypeVar("_T")
 
 _M_TRIM_THRESHOLD = -1
 _M_TOP_PAD = -2
@@ -77,6 +80,27 @@ def helping_thread(threads: int) -> Executor:
     if threads == 1:
         return CallingThread()
     return ThreadPoolExecutor(max_workers=1, thread_name_prefix="ovmot")
+
+
+def do_together(jobs: Sequence[Callable[[], _T]], helper: Executor) -> list[_T]:
+    """The results of jobs, in order, done by this thread and by the helper: each takes the next one
+    when it is free, so that a helper that gets no processor holds nothing up."""
+    results: dict[int, _T] = {}
+    todo = deque(range(len(jobs)))
+
+    def work() -> None:
+        while True:
+            try:
+                index = todo.popleft()
+            except IndexError:
+                return
+            results[index] = jobs[index]()
+
+    beside = helper.submit(work)
+    work()
+    if not beside.cancel():
+        beside.result()
+    return [results[index] for index in range(len(jobs))]
 
 
 class CallingThread(Executor):

@@ -2,6 +2,7 @@
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from ovmot.frontend.klt_kernel import margin_of
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 
 MIN_CORRELATION = 0.85
@@ -49,7 +51,7 @@ def find_features(
 
     The first patch is aligned with the predicted place. Where it does not fit, optical flow on
     `n_levels` of the pyramid (of all, or (N,)), there and back, leads to where it is aligned again;
-    with none it is lost. The `helper` takes half of the features, each feature by itself.
+    with none it is lost. The `helper` takes a part of the features; each is sought by itself.
     """
     return _find(sought, view, start, np.arange(len(start)), n_levels, helper)
 
@@ -134,10 +136,11 @@ def _find(
     n_levels: int | IntArray,
     helper: Executor,
     *,
+    portion: int = 64,
     max_steps: int = 12,
     small_step_px: float = 0.005,
 ) -> Found:
-    """Features `row` (M,) from `start` (M, 2).
+    """Features `row` (M,) from `start` (M, 2), in portions that two threads share.
 
     An alignment takes at most `max_steps`, and is done at one below `small_step_px`: what stops
     earlier stays nearer to the prediction, and an error that agrees with the filter does not
@@ -155,8 +158,7 @@ def _find(
             MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,
         )  # fmt: skip
 
-    half = len(row) // 2
-    others = helper.submit(search, slice(half, None))
-    both = zip(search(slice(half)), others.result(), strict=True)
-    uv, warp, state = (np.concatenate(parts) for parts in both)
+    parts = [slice(first, first + portion) for first in range(0, max(len(row), 1), portion)]
+    found = do_together([partial(search, part) for part in parts], helper)
+    uv, warp, state = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
     return Found(uv, warp, state != LOST, state == ALIGNED)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from ovmot.errors import OvmotError
 from ovmot.frontend.klt_kernel import BACK_LEVELS, margin_of
 from ovmot.frontend.patch_kernel import MARGIN, Quads
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
@@ -63,8 +65,14 @@ def preprocess(
         even = EQUALIZERS[settings.equalization](image)
         return View(even, build_pyramid(even, settings), patch_image(even), mask, camera)
 
-    right = workers.submit(view_of, frame.right, frame.right_mask, rig.cam1)
-    return view_of(frame.left, frame.left_mask, rig.cam0), right.result()
+    left, right = do_together(
+        [
+            partial(view_of, frame.left, frame.left_mask, rig.cam0),
+            partial(view_of, frame.right, frame.right_mask, rig.cam1),
+        ],
+        workers,
+    )
+    return left, right
 
 
 def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:
