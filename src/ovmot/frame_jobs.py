@@ -14,8 +14,8 @@ from ovmot.types import FrameResult, FrontendFrame, StereoMatches
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is known after a frame: the odometry source, None before there is one; what the front
-    end is told; the oldest IMU time that may still be needed, None for all."""
+    """What is known after a frame: the odometry source, None before there is one; the feedback for
+    the front end; the oldest IMU time that may still be needed, None for all."""
 
     source: OdometrySource | None
     feedback: Feedback

@@ -1,4 +1,4 @@
-"""Compiled work on the arrays of the feature table: append, choose, gather, forget.
+"""Compiled work on the arrays of the feature table: append, choose, gather, drop.
 
 tests/kernels/test_table_kernel.py holds the plain NumPy twins.
 """

@@ -36,7 +36,7 @@ class ObjectsResult:
     focus_radius_px: FloatArray
 
     def feedback(self, rig: StereoRig, pixel_sigma: float) -> Feedback:
-        """What later frames are told, with the calibration and the pixel noise of now."""
+        """The feedback for later frames, with the calibration and the pixel noise of now."""
         return Feedback(
             rig=rig,
             pixel_sigma=pixel_sigma,
