@@ -66,8 +66,9 @@ the height of its test)."""
 MAX_VEHICLE_SIZE_M = (18.75, 2.6, 4.0)
 """Greatest length, width and height of a vehicle on a road (Directive 96/53/EC)."""
 
-WALKER_MPS = 1.34
-"""Mean speed of a walker (U. Weidmann, Transporttechnik der Fussgänger, 1993)."""
+WALKER_MPS, WALKER_SIGMA_MPS = 1.34, 0.26
+"""Mean speed of walkers and its standard deviation (U. Weidmann, Transporttechnik der Fussgänger,
+1993)."""
 # A rig at rest on its springs or its tripod.
 REST_SHIFT_M = 0.01
 """A body that rocks on its springs moves its camera by up to this."""

@@ -13,9 +13,10 @@ from ovmot.objects.feature_motions import CLEARLY, FeatureMotions, distances_fro
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import Track, TrackState
 from ovmot.objects.track_box import points_in_boxes
+from ovmot.physics import WALKER_MPS, WALKER_SIGMA_MPS
 from ovmot.types import PointLabel, ScenePoints
 
-_MOVING_MPS = 1.0  # the pace of a slow walker
+_PACE_MPS = WALKER_MPS - 1.28 * WALKER_SIGMA_MPS  # one walker in ten is slower
 _LIKELIER = 0.43  # sigmas: a Gaussian has a third of its weight beyond
 _LATE_S = 0.1  # a velocity is that of the middle of the time it was measured over
 _STEADY = 0.5  # m/s²: noise of the change of a velocity
@@ -84,9 +85,9 @@ def _track_label(track: Track, speed: float) -> PointLabel:
     P = track.filter.best.covariance[VELOCITY, VELOCITY]
     along = track.velocity / max(float(np.linalg.norm(track.velocity)), 1e-9)
     margin = _LIKELIER * float(np.sqrt(along @ P @ along))
-    if speed + margin < _MOVING_MPS:
+    if speed + margin < _PACE_MPS:
         return PointLabel.STATIC
-    return PointLabel.DYNAMIC if speed - margin > _MOVING_MPS else PointLabel.UNKNOWN
+    return PointLabel.DYNAMIC if speed - margin > _PACE_MPS else PointLabel.UNKNOWN
 
 
 def _checked_for_rest(
