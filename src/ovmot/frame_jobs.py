@@ -51,7 +51,6 @@ class FrameJobs:
         self._before_all = before_all
         self._last_two: deque[Future[Step]] = deque(maxlen=2)
         self._unreturned: deque[Future[Step]] = deque()
-        self.last_frame_ns: int | None = None
 
     def known(self) -> Known:
         """What was known after the frame before the last one begun; waits for it."""

@@ -67,7 +67,7 @@ class FrontEnd(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop worker threads."""
+        """End its threads and processes; a second call does nothing."""
         ...
 
 

@@ -81,7 +81,7 @@ class Odometry:
         Another front end than the one that `tracker.cameras` names.
     threads
         1: everything in the calling thread. 2: the front end runs beside the later stages, each in
-        a thread of its own, a `frontend` of ours in a process of its own.
+        a thread; that of the settings in a process of its own, with a second thread to help it.
     on_result
         Called with each `FrameResult` as soon as it is there, by the thread that made it.
 
@@ -115,7 +115,8 @@ class Odometry:
         # the calling thread's: events, and the frames that are worked on
         self._imu = ImuBuffer()
         self._waiting: deque[StereoFrame | FeatureFrame] = deque()
-        self._last_frame_ns: int | None = None
+        self._last_frame_ns: int | None = None  # added
+        self._begun_ns: int | None = None  # the last frame that is worked on
         self._jobs = FrameJobs(threads, Known(None, no_feedback(rig), None))
         self._on_result = on_result
         self.dropped = 0
@@ -187,15 +188,14 @@ class Odometry:
     def _predicted_motion(self, known: Known, frame_ns: int, imu: ImuBuffer) -> FloatArray:
         """T_now_before (4, 4) of the left camera since the last frame; of a source that runs, or by
         the gyroscope alone, the identity where neither reaches so far."""
-        before_ns = self._jobs.last_frame_ns
-        self._jobs.last_frame_ns = frame_ns
+        before_ns, self._begun_ns = self._begun_ns, frame_ns
         if before_ns is None:
             return np.eye(4)
         if known.source is not None:
             with suppress(DatasetError):
                 return known.source.predicted_motion(before_ns, frame_ns, imu)
-        part = self._part(known)
-        times_ns = part.imu_time_ns(before_ns), part.imu_time_ns(frame_ns)
+        clock = self._clock(known)
+        times_ns = clock.imu_time_ns(before_ns), clock.imu_time_ns(frame_ns)
         return predicted_rotation(*times_ns, imu, known.feedback.rig)
 
     def _track(
@@ -393,11 +393,11 @@ class Odometry:
         self._last_frame_ns = frame.timestamp_ns
 
     def _is_covered(self, frame_ns: int) -> bool:
-        needed = self._part(self._jobs.known()).imu_needed_until(frame_ns)
+        needed = self._clock(self._jobs.known()).imu_needed_until(frame_ns)
         last = self._imu.last_ns
         return needed is None or (last is not None and last >= needed)
 
-    def _part(self, known: Known) -> Initializer | OdometrySource:
+    def _clock(self, known: Known) -> Initializer | OdometrySource:
         """What knows the clocks: the source, or the initializer before there is one."""
         return self._initializer if known.source is None else known.source
 

@@ -1,4 +1,4 @@
-"""What a process is held to, and a stopwatch for the stages of a frame.
+"""What a process is held to, threads that help, and a stopwatch for the stages of a frame.
 
 Small dense factorisations are slower with several BLAS threads than with one, OpenCV's own
 threads gain less than one Python thread per camera, and glibc gives every freed image back to

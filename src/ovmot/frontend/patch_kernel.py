@@ -99,12 +99,8 @@ def _sum_up(room: Room, centre: float, grey: _Float32, steepest: _Float32) -> No
     weight, with themselves and with the patch; less `centre`, which keeps them small."""
     s0, s1, s2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     s3, s4, s5 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    mean, square, product, middle = (
-        np.float32(0.0),
-        np.float32(0.0),
-        np.float32(0.0),
-        np.float32(centre),
-    )
+    mean, square, product = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    middle = np.float32(centre)
     quad, a, b = room.quad, room.a, room.b
     for m in range(PADDED):
         word = quad[m]

@@ -55,7 +55,7 @@ def preprocess(
     frame: StereoFrame | FeatureFrame,
     rig: StereoRig,
     settings: TrackerSettings,
-    workers: Executor,
+    helper: Executor,
 ) -> tuple[View, View]:
     """Left and right view of a frame. Raises `OvmotError` for a frame without images."""
     if isinstance(frame, FeatureFrame):
@@ -70,7 +70,7 @@ def preprocess(
             partial(view_of, frame.left, frame.left_mask, rig.cam0),
             partial(view_of, frame.right, frame.right_mask, rig.cam1),
         ],
-        workers,
+        helper,
     )
     return left, right
 

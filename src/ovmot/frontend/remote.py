@@ -81,7 +81,7 @@ class RemoteFrontEnd:
     def _send(self, request: object) -> None:
         try:
             self._requests.send(request)
-        except (BrokenPipeError, OSError) as error:
+        except OSError as error:
             raise OvmotError(_ENDED) from error
 
 

@@ -72,16 +72,6 @@ def whiten(S: FloatArray, rows: FloatArray, n_columns: int) -> None:
 
 
 @part
-def whiten_with(L: FloatArray, rows: FloatArray) -> None:
-    """Replace rows (4, k) by L⁻¹ rows, L (4, 4) lower triangular."""
-    for c in range(rows.shape[1]):
-        for i in range(4):
-            for k in range(i):
-                rows[i, c] -= L[i, k] * rows[k, c]
-            rows[i, c] /= L[i, i]
-
-
-@part
 def invert_definite(A: FloatArray) -> None:
     """Replace a symmetric positive definite A (k, k) by its inverse, by Gauss-Jordan steps."""
     n = len(A)
