@@ -292,3 +292,29 @@ def test_a_folder_whose_name_is_no_text(painted_euroc: Path, tmp_path: Path) -> 
         )
         assert "Traceback" not in ended.stderr
     assert json.loads((out / "run.json").read_text())["ended"] == "finished"
+
+
+def test_the_first_use_is_asked_before_data_is_opened_and_compiles_after(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading a calibration compiles a kernel; a mistake in the input must not wait for others."""
+    asked: list[str] = []
+    opened = ovmot.open
+
+    def first_use() -> bool:
+        asked.append("first use?")
+        return True
+
+    def noted(*arguments: Any) -> Any:
+        asked.append("open")
+        return opened(*arguments)
+
+    monkeypatch.setattr(cli, "nothing_is_compiled", first_use)
+    monkeypatch.setattr(ovmot, "open", noted)
+    monkeypatch.setattr(ovmot, "warm_up", lambda: asked.append("compile"))
+    run = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *FAST)
+    assert run.code == 0
+    assert asked == ["first use?", "open", "compile"]
+    asked.clear()
+    assert ovmot_command("run", tmp_path / "none", "-o", tmp_path / "no").code == 2
+    assert "compile" not in asked

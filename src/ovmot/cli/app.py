@@ -25,8 +25,9 @@ from ovmot.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FAILED,
     NOTHING_WRITTEN,
-    compile_at_first_use,
+    compile_where,
     interruptible,
+    nothing_is_compiled,
     printable,
     progress,
     say,
@@ -141,6 +142,7 @@ def run(
 ) -> None:
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
     ovmot.prepare_process()
+    first_use = nothing_is_compiled()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
     given = ovmot.load_run_config(config, overrides)
     settings = given.settings
@@ -162,7 +164,7 @@ def run(
         given.mask_files, threads,
     )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    compile_at_first_use()
+    compile_where(first_use)
     with (
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,

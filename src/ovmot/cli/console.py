@@ -38,9 +38,15 @@ def printable(line: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in line)
 
 
-def compile_at_first_use() -> None:
-    """Compile the kernels, and say so, where this is the first run on a machine."""
-    if is_first_use(Path(ovmot.__file__).parent):
+def nothing_is_compiled() -> bool:
+    """Is this the first run on a machine? To be asked before a calibration is read, which compiles
+    the first of the kernels."""
+    return is_first_use(Path(ovmot.__file__).parent)
+
+
+def compile_where(needed: bool) -> None:
+    """Compile the kernels where that is needed, and say so."""
+    if needed:
         say("ovmot: the first run on this machine compiles some code; that takes half a minute")
         ovmot.warm_up()
 

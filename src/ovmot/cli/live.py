@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ovmot import InputError, prepare_process
-from ovmot.cli.console import compile_at_first_use, interruptible
+from ovmot.cli.console import compile_where, interruptible, nothing_is_compiled
 from ovmot.cli.options import SetOption
 from ovmot.ros import ros1_node, ros2_node
 
@@ -29,7 +29,7 @@ def ros(
     if strange:
         raise InputError(f"{strange[0]}: neither an option nor a remapping a:=b")
     prepare_process()
-    compile_at_first_use()
+    compile_where(nothing_is_compiled())
     with interruptible("the node has ended"):
         ros1_node.run_node(config, calibration, tuple(set_ or ()))
 
@@ -44,6 +44,6 @@ def ros2(
 ) -> None:
     """Run live on ROS 2: two image topics and an IMU in, odometry and objects out."""
     prepare_process()
-    compile_at_first_use()
+    compile_where(nothing_is_compiled())
     with interruptible("the node has ended"):
         ros2_node.run_node(config, calibration, tuple(set_ or ()), tuple(arguments or ()))
