@@ -47,7 +47,7 @@ def nothing_is_compiled() -> bool:
 def compile_where(needed: bool) -> None:
     """Compile the kernels where that is needed, and say so."""
     if needed:
-        say("ovmot: the first run on this machine compiles some code; that takes half a minute")
+        say("ovmot: the first run on this machine compiles some code; that takes about a minute")
         ovmot.warm_up()
 
 
