@@ -176,3 +176,25 @@ def test_more_features_are_wanted_around_what_moves_or_may() -> None:
     uv, radius = focus_areas(points, np.arange(n) == 4, camera)
     np.testing.assert_array_equal(uv, pixels[[0, 1, 4], :2])
     np.testing.assert_allclose(radius, [52.0, 26.0, 65.0])
+
+
+def test_full_cells_are_left_out_before_corners_are_sought(dots: Image) -> None:
+    """With the budget spent, new corners are those in cells without a feature, and in the focus."""
+    settings = SETTINGS.model_copy(update={"max_features": 20})
+    first = new_corners(dots, None, NOTHING, None, settings)
+    existing = first[first[:, 0] < 256]
+    assert len(existing) >= settings.max_features
+    focus = np.zeros(dots.shape, dtype=np.uint8)
+    focus[64:128, 64:128] = 255
+    added = new_corners(dots, None, existing, None, settings)
+    also = new_corners(dots, None, existing, focus, settings)
+    cell = 64
+
+    def cells(uv: FloatArray) -> set[tuple[int, int]]:
+        return {(int(u) // cell, int(v) // cell) for u, v in uv}
+
+    assert len(added) > 0
+    assert not cells(added) & cells(existing)
+    in_focus = (also[:, 0] // cell == 1) & (also[:, 1] // cell == 1)
+    assert in_focus.sum() > 0
+    assert not cells(also[~in_focus]) & cells(existing)

@@ -64,7 +64,8 @@ def test_percentiles_of_greys_are_those_of_numpy(dark: Image) -> None:
     percent = (0.0, 2.0, 37.3, 98.0, 100.0)
     for image in (dark, dark[:7, :3], dark[::4, ::4]):
         expected = np.percentile(image, percent)
-        np.testing.assert_allclose(grey_percentiles(image, percent), expected, rtol=1e-12)
+        counts = np.bincount(image.ravel(), minlength=256)
+        np.testing.assert_allclose(grey_percentiles(counts, percent), expected, rtol=1e-12)
 
 
 def test_a_pyramid_stops_at_the_size_of_its_window() -> None:

@@ -195,7 +195,10 @@ def test_the_verdict_of_the_two_view_test_is_passed_on(
 ) -> None:
     verdicts: list[BoolArray] = []
 
-    def every_third(before: FloatArray, now: FloatArray, threshold: float) -> BoolArray:
+    def every_third(
+        before: FloatArray, now: FloatArray, R_now_before: FloatArray, threshold: float
+    ) -> BoolArray:
+        np.testing.assert_array_equal(R_now_before, np.eye(3))
         assert threshold == pytest.approx(1.0 / 200.0)
         np.testing.assert_allclose(now[:, 0] - before[:, 0], STEP_M / 8.0, atol=STEP_M / 6.0)
         verdicts.append(np.arange(len(before)) % 3 > 0)

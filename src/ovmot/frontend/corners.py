@@ -39,13 +39,21 @@ def new_corners(
     the image. All lengths follow from the fine cell, and so scale with the image.
     """
     shape, cell_px = image.shape, fine_cell_px(image.shape, settings)
-    corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, mask)
-    within, has = inside_mask(corners, focus), inside_mask(existing, focus)
+    has = inside_mask(existing, focus)
+    n_even = settings.max_features - int((~has).sum())
+    # with enough of them, corners are sought in empty cells and in the focus
+    where = None if n_even > 0 else _empty_cells(existing, cell_px, shape)
+    if where is not None and focus is not None:
+        where |= focus
+    corners = fast_corners(
+        image, settings.fast_threshold, settings.klt_window_px // 2, _allowed(where, mask)
+    )
+    within = inside_mask(corners, focus)
     even = even_spread(settings.max_features, cell_px, shape)
     dense = Spread(cell_px / 4.0, cell_px, 3 * 4)
     taken = existing
     for n_most, chosen, spread in (
-        (settings.max_features - int((~has).sum()), ~within, even),
+        (n_even, ~within, even),
         # what covers tracked features is tracked itself, though there are enough
         (len(corners), ~within, Spread(even.distance_px, cell_px, 1)),
         (settings.focus_features - int(has.sum()), within, dense),
@@ -107,16 +115,37 @@ def focus_mask(
     return mask
 
 
+def _empty_cells(existing: FloatArray, cell_px: int, shape: tuple[int, ...]) -> Image:
+    """An image (height, width), 255 in the fine cells that hold no feature (N, 2)."""
+    height, width = shape[:2]
+    rows, columns = -(-height // cell_px), -(-width // cell_px)
+    cells = np.full((rows, columns), 255, dtype=np.uint8)
+    column, row = (existing[np.isfinite(existing[:, 0])] // cell_px).astype(np.int64).T
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    cells[row[inside], column[inside]] = 0
+    size = (columns * cell_px, rows * cell_px)
+    image = cv2.resize(cells, size, interpolation=cv2.INTER_NEAREST)[:height, :width]
+    return np.ascontiguousarray(image)
+
+
+def _allowed(where: Image | None, mask: Image | None) -> Image | None:
+    """Not zero `where` (height, width) is not, None for everywhere, and `mask` is zero."""
+    if mask is None:
+        return where
+    free = np.uint8(255) * (mask == 0)
+    return free if where is None else cv2.bitwise_and(free, where)
+
+
 def fast_corners(
-    image: Image, threshold: int, border_px: int, mask: Image | None = None
+    image: Image, threshold: int, border_px: int, allowed: Image | None = None
 ) -> FloatArray:
     """All corners (M, 2) of an image, the strongest first.
 
-    None where `mask` is not zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
+    None where `allowed` is zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
     T. Drummond, ECCV 2006), `threshold` in grey levels.
     """
     detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
-    keypoints = detector.detect(image, None if mask is None else (mask == 0).astype(np.uint8))
+    keypoints = detector.detect(image, allowed)
     if not keypoints:
         return np.empty((0, 2))
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)

@@ -7,11 +7,11 @@ normalized plane, where it is exact for any lens; lines need not be horizontal.
 import math
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.two_view_kernel import agree_with_translation_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.physics import LEAST_MATCH_SIGMA_PX
 from ovmot.settings import EpipolarSettings
@@ -102,6 +102,7 @@ def match_sigma(matches: StereoMatches, *, tails: float = 1.5, min_matches: int 
 def two_view_inliers(
     before: FloatArray,
     now: FloatArray,
+    R_now_before: FloatArray,
     threshold: float,
     *,
     min_points: int = 12,
@@ -110,41 +111,25 @@ def two_view_inliers(
 ) -> BoolArray:
     """Which of N tracks (N,) agree with one rigid motion of the camera between two images.
 
-    `before`, `now` (N, 2): normalized coordinates; `threshold` in the same unit, of the Sampson
-    distance. The fundamental matrix is fitted by MAGSAC++ (D. Barath et al., CVPR 2020) to every
-    k-th track, `most_fitted` in all: more do not make it better by much, and its time grows with
-    them. In the normalized plane it is the essential matrix, and found in half the time. With fewer
-    than `min_points` tracks, or when no motion is found, all pass: the test then knows nothing. So
-    many samples of seven are drawn that, where half of the tracks are inliers, one is free of
-    outliers with this `confidence`.
+    `before`, `now` (N, 2): normalized coordinates; `R_now_before` (3, 3): predicted rotation;
+    `threshold` in the unit of the coordinates, of the Sampson distance (R. Hartley & A. Zisserman,
+    section 11.4). A RANSAC of two points (`two_view_kernel`) is fitted to every k-th track,
+    `most_fitted` in all: more do not make it better by much. With fewer than `min_points` tracks,
+    or when no motion is found, all pass: the test then knows nothing. So many samples are drawn
+    that, where a third of the tracks are inliers, one is free of outliers with this `confidence`.
     """
     ok = np.asarray(np.isfinite(before).all(1) & np.isfinite(now).all(1))
-    if ok.sum() < min_points:
+    rows = np.flatnonzero(ok)
+    if len(rows) < min_points:
         return ok
-    # The solver's own tolerances are made for pixels: give it coordinates of that size.
-    old, new = before / threshold, now / threshold
-    fitted = np.flatnonzero(ok)[:: -(-int(ok.sum()) // most_fitted)]
-    most_samples = math.ceil(math.log(1.0 - confidence) / math.log(1.0 - 0.5**7))
-    try:
-        F, _ = cv2.findFundamentalMat(
-            old[fitted], new[fitted], cv2.USAC_MAGSAC, 1.0, confidence, most_samples
-        )
-    except cv2.error:  # raised, by some noisy inputs, where the last refinement finds no model
+    fitted = np.arange(0, len(rows), -(-len(rows) // most_fitted))
+    n_samples = math.ceil(math.log(1.0 - confidence) / math.log(1.0 - (1.0 / 3.0) ** 2))
+    agree = agree_with_translation_compiled(
+        np.ascontiguousarray(before[rows]), np.ascontiguousarray(now[rows]),
+        np.ascontiguousarray(R_now_before), threshold, fitted, n_samples,
+    )  # fmt: skip
+    if agree.sum() < min_points:
         return ok
-    if F is None or F.shape != (3, 3):
-        return ok
-    with np.errstate(invalid="ignore"):
-        inliers: BoolArray = sampson_distance(old, new, np.asarray(F, np.float64)) <= 1.0
-    return inliers if inliers.sum() >= min_points else ok
-
-
-def sampson_distance(before: FloatArray, now: FloatArray, F: FloatArray) -> FloatArray:
-    """First-order geometric distance (N,) of pairs (N, 2) from x_nowᵀ F x_before = 0, in their
-    unit, to both points together (R. Hartley & A. Zisserman, section 11.4)."""
-    ones = np.ones((len(before), 1))
-    x, y = np.hstack([before, ones]), np.hstack([now, ones])
-    line_now, line_before = x @ F.T, y @ F
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scale = np.sqrt((line_now[:, :2] ** 2).sum(1) + (line_before[:, :2] ** 2).sum(1))
-        distance: FloatArray = np.abs((y * line_now).sum(1)) / scale
-    return distance
+    inliers = np.zeros(len(ok), dtype=np.bool_)
+    inliers[rows] = agree
+    return inliers

@@ -67,8 +67,9 @@ class GivenFeatures:
     ) -> tuple[FrontendFrame, StereoMatches]:
         """Features of this frame with accepted right halves only, and all tested pairs.
 
-        The prediction is not needed. Features whose pixel the camera model does not reach, in the
-        camera that tracks them, are left out. Raises `OvmotError` for a frame of images.
+        Of the prediction only the rotation is needed. Features whose pixel the camera model does
+        not reach, in the camera that tracks them, are left out. Raises `OvmotError` for a frame of
+        images.
         """
         if isinstance(frame, StereoFrame):
             raise OvmotError(f"frame {frame.timestamp_ns}: images where features were expected")
@@ -86,14 +87,21 @@ class GivenFeatures:
         )
         pixels[paired] = without_rejected(pixels[paired], matches)
         normalized[paired] = without_rejected(normalized[paired], matches)
-        self._before = self._with_history(frame.timestamp_ns, ids, pixels, normalized)
+        self._before = self._with_history(
+            frame.timestamp_ns, ids, pixels, normalized, T_now_before[:3, :3]
+        )
         return self._before, matches
 
     def _with_history(
-        self, timestamp_ns: int, ids: IntArray, pixels: FloatArray, normalized: FloatArray
+        self,
+        timestamp_ns: int,
+        ids: IntArray,
+        pixels: FloatArray,
+        normalized: FloatArray,
+        R_now_before: FloatArray,
     ) -> FrontendFrame:
         """The frame with track lengths and the two-view test, by the last frame's features of the
-        same ids."""
+        same ids and the left camera's rotation (3, 3) since."""
         track_length = np.zeros(len(ids), dtype=np.int64)
         inlier = np.ones(len(ids), dtype=np.bool_)
         before = self._before
@@ -103,13 +111,15 @@ class GivenFeatures:
             )
             track_length[now] = before.track_length[then] + 1
             of_left = np.isfinite(pixels[now, 0])
-            for view, camera, own in (
-                (slice(0, 2), self._rig.cam0, of_left),
-                (slice(2, 4), self._rig.cam1, ~of_left),
+            R_cam1_cam0 = self._rig.T_cam1_cam0[:3, :3]
+            for view, camera, own, R in (
+                (slice(0, 2), self._rig.cam0, of_left, R_now_before),
+                (slice(2, 4), self._rig.cam1, ~of_left, R_cam1_cam0 @ R_now_before @ R_cam1_cam0.T),
             ):
                 inlier[now[own]] = two_view_inliers(
                     before.normalized[then[own], view],
                     normalized[now[own], view],
+                    R,
                     self._settings.two_view_threshold_px / camera.fx,
                 )
         return FrontendFrame(timestamp_ns, ids, pixels, normalized, track_length, inlier)

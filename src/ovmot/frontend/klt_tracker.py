@@ -133,7 +133,7 @@ class KltTracker:
         self.patches.renew(view.words, uv[stale], slot[stale])
         # two-view test
         threshold = self._settings.two_view_threshold_px / camera.fx
-        inlier = two_view_inliers(last.xy[rows], xy, threshold)
+        inlier = two_view_inliers(last.xy[rows], xy, T_now_before[:3, :3], threshold)
         return TrackedPoints(
             feature_id=last.feature_id[rows],
             uv=uv,

@@ -11,9 +11,14 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
+from ovmot.frontend.image_kernel import (
+    count_levels_compiled,
+    scale_levels_compiled,
+    smooth_to_words_compiled,
+)
 from ovmot.frontend.klt_kernel import BACK_LEVELS, margin_of
 from ovmot.frontend.patch_kernel import MARGIN, Quads
-from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
@@ -99,12 +104,10 @@ def patch_image(image: Image, *, sigma_px: float = 0.8) -> Quads:
 
     Bilinear sampling between smoothed pixels costs little sharpness.
     """
-    smooth = cv2.GaussianBlur(image, (5, 5), sigma_px)
-    edges = (MARGIN, MARGIN + 1, MARGIN, MARGIN + 1)  # a word holds the next row and column
-    padded = cv2.copyMakeBorder(smooth, *edges, cv2.BORDER_REPLICATE)
-    neighbours = (padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:])
-    words: Quads = np.asarray(cv2.merge(neighbours)).view("<i4")[..., 0]
-    return words
+    weights = cv2.getGaussianKernel(5, sigma_px).ravel()
+    outer = np.round(256.0 * weights[:2]).astype(np.int32)
+    symmetric = np.append(outer, 256 - 2 * outer.sum()).astype(np.int32)
+    return smooth_to_words_compiled(_own(image), symmetric, MARGIN)
 
 
 def inside_mask(uv: FloatArray, mask: Image | None) -> BoolArray:
@@ -137,23 +140,27 @@ def stretch_linearly(image: Image) -> Image:
     Unlike the curve of a histogram, a gain keeps what optical flow compares alike from frame to
     frame when the scene changes; it is limited so that night stays night.
     """
-    low, high = grey_percentiles(image[::4, ::4], (2.0, 98.0))
+    image = _own(image)
+    low, high = grey_percentiles(count_levels_compiled(image, 4), (2.0, 98.0))
     gain = min(255.0 / max(high - low, 1.0), _MAX_GAIN)
-    levels = np.clip((np.arange(256) - low) * gain, 0.0, 255.0).astype(np.uint8)
-    return np.asarray(cv2.LUT(image, levels), dtype=np.uint8)
+    return scale_levels_compiled(image, low, gain)
 
 
-def grey_percentiles(image: Image, percent: Sequence[float]) -> FloatArray:
-    """Percentiles of grey levels, interpolated between neighbours, from their histogram.
-
-    The values of `numpy.percentile`, which sorts all pixels for them.
+def grey_percentiles(counts: IntArray, percent: Sequence[float]) -> FloatArray:
+    """Percentiles of grey levels, interpolated between neighbours, by how many pixels have each
+    level (256,): the values of `numpy.percentile`, which sorts all pixels for them.
     """
-    up_to = np.bincount(image.ravel(), minlength=256).cumsum()
+    up_to = counts.cumsum()
     place = np.array(percent) / 100.0 * (up_to[-1] - 1)
     below = np.floor(place)
     grey = np.searchsorted(up_to, np.stack([below, np.ceil(place)]), side="right")
     out: FloatArray = grey[0] + (place - below) * (grey[1] - grey[0])
     return out
+
+
+def _own(image: Image) -> Image:
+    """The image as kernels are compiled for: rows one after the other, in memory to be written."""
+    return np.require(image, np.uint8, ["C", "W"])
 
 
 def leave_as_is(image: Image) -> Image:
