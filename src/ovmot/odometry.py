@@ -403,10 +403,13 @@ class Odometry:
 
 
 def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEnd:
-    """The front end that the settings name."""
+    """The front end that the settings name, without the features that only objects need."""
+    tracker = settings.tracker
+    if not settings.objects.enabled:
+        tracker = tracker.model_copy(update={"fine_features": 0, "focus_features": 0})
     if threads > 1:
-        return RemoteFrontEnd(rig, settings.tracker, settings.epipolar)
-    return FRONT_ENDS[settings.tracker.cameras](rig, settings.tracker, settings.epipolar, 1)
+        return RemoteFrontEnd(rig, tracker, settings.epipolar)
+    return FRONT_ENDS[tracker.cameras](rig, tracker, settings.epipolar, 1)
 
 
 def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:

@@ -40,9 +40,11 @@ class TrackerSettings(Section):
     klt_levels: int = Field(5, ge=1, le=8)
     """Levels of the image pyramid; near a predicted place the two coarsest are left out."""
     fine_columns: int = Field(32, ge=4, le=256)
-    """Columns of fine cells over the image; each gets a feature whenever it holds none."""
+    """Columns of fine cells over the image, by which features are spread."""
+    fine_features: int = Field(1000, ge=0, le=5000)
+    """Further ones, one in each fine cell without any, to see small bodies; with objects only."""
     focus_features: int = Field(300, ge=0, le=2000)
-    """Further features where something seems to move, beside those above."""
+    """Further features where something seems to move, beside those above; with objects only."""
     cameras: Literal["stereo", "left", "each"] = "stereo"
     """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)

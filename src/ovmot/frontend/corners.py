@@ -33,31 +33,33 @@ def new_corners(
 ) -> FloatArray:
     """New corners (M, 2), pixels, beside the `existing` features (N, 2).
 
-    Over the image (height, width) evenly, up to `max_features`; one in every fine cell without a
-    feature; and up to `focus_features` densely where `focus` (height, width) is not zero. None
-    where `mask` (height, width) is not zero, or where the window of optical flow would not be in
-    the image. All lengths follow from the fine cell, and so scale with the image.
+    Over the image (height, width) evenly, up to `max_features`; one in each fine cell without any,
+    up to `fine_features` more; and up to `focus_features` densely where `focus` (height, width) is
+    not zero. None where `mask` (height, width) is not zero, or where the window of optical flow
+    would not be in the image. All lengths follow from the fine cell, and so scale with the image.
     """
     shape, cell_px = image.shape, fine_cell_px(image.shape, settings)
-    has = inside_mask(existing, focus)
-    n_even = settings.max_features - int((~has).sum())
-    # with enough of them, corners are sought in empty cells and in the focus
-    where = None if n_even > 0 else _empty_cells(existing, cell_px, shape)
-    if where is not None and focus is not None:
-        where |= focus
-    corners = fast_corners(
-        image, settings.fast_threshold, settings.klt_window_px // 2, _allowed(where, mask)
-    )
-    within = inside_mask(corners, focus)
+    n_focus = int(inside_mask(existing, focus).sum())
+    n_even = settings.max_features - (len(existing) - n_focus)
     even = even_spread(settings.max_features, cell_px, shape)
-    dense = Spread(cell_px / 4.0, cell_px, 3 * 4)
-    taken = existing
-    for n_most, chosen, spread in (
-        (n_even, ~within, even),
+    spreads = (
+        (n_even, even, False),
         # what covers tracked features is tracked itself, though there are enough
-        (len(corners), ~within, Spread(even.distance_px, cell_px, 1)),
-        (settings.focus_features - int(has.sum()), within, dense),
-    ):
+        (settings.fine_features + min(n_even, 0), Spread(even.distance_px, cell_px, 1), False),
+        (settings.focus_features - n_focus, Spread(cell_px / 4.0, cell_px, 3 * 4), True),
+    )
+    room = np.zeros(shape, dtype=np.uint8)
+    dense = room if focus is None else focus
+    for n_most, spread, in_focus in spreads:
+        if n_most > 0:
+            room |= dense if in_focus else with_room(existing, spread, shape)
+    if mask is not None:
+        room[mask != 0] = 0
+    corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, room)
+    within = inside_mask(corners, focus)
+    taken = existing
+    for n_most, spread, in_focus in spreads:
+        chosen = within if in_focus else ~within
         new = choose_corners(corners[chosen], taken, n_most, spread, shape)
         taken = np.concatenate([taken, new])
     return taken[len(existing) :]
@@ -115,37 +117,31 @@ def focus_mask(
     return mask
 
 
-def _empty_cells(existing: FloatArray, cell_px: int, shape: tuple[int, ...]) -> Image:
-    """An image (height, width), 255 in the fine cells that hold no feature (N, 2)."""
+def with_room(existing: FloatArray, spread: Spread, shape: tuple[int, ...]) -> Image:
+    """An image (height, width), 255 in the cells of a spread that are not full of the `existing`
+    features (N, 2): FAST need not look for corners in others."""
     height, width = shape[:2]
-    rows, columns = -(-height // cell_px), -(-width // cell_px)
-    cells = np.full((rows, columns), 255, dtype=np.uint8)
-    column, row = (existing[np.isfinite(existing[:, 0])] // cell_px).astype(np.int64).T
+    side = spread.cell_px
+    rows, columns = -(-height // side), -(-width // side)
+    column, row = (existing[np.isfinite(existing[:, 0])] // side).astype(np.int64).T
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    cells[row[inside], column[inside]] = 0
-    size = (columns * cell_px, rows * cell_px)
-    image = cv2.resize(cells, size, interpolation=cv2.INTER_NEAREST)[:height, :width]
-    return np.ascontiguousarray(image)
-
-
-def _allowed(where: Image | None, mask: Image | None) -> Image | None:
-    """Not zero `where` (height, width) is not, None for everywhere, and `mask` is zero."""
-    if mask is None:
-        return where
-    free = np.uint8(255) * (mask == 0)
-    return free if where is None else cv2.bitwise_and(free, where)
+    cell = row[inside] * columns + column[inside]
+    held = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
+    open_cells = np.uint8(255) * (held < spread.per_cell)
+    image = cv2.resize(open_cells, (columns * side, rows * side), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(image[:height, :width], dtype=np.uint8)
 
 
 def fast_corners(
-    image: Image, threshold: int, border_px: int, allowed: Image | None = None
+    image: Image, threshold: int, border_px: int, room: Image | None = None
 ) -> FloatArray:
     """All corners (M, 2) of an image, the strongest first.
 
-    None where `allowed` is zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
+    None where `room` is zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
     T. Drummond, ECCV 2006), `threshold` in grey levels.
     """
     detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
-    keypoints = detector.detect(image, allowed)
+    keypoints = detector.detect(image, room)
     if not keypoints:
         return np.empty((0, 2))
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)

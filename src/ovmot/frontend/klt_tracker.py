@@ -16,7 +16,12 @@ from ovmot.frontend.feature_search import (
     recover_lost,
 )
 from ovmot.frontend.patches import PatchStore, is_rescaled
-from ovmot.frontend.prediction import flow_nearby, predict_pixels, unexplained_flow
+from ovmot.frontend.prediction import (
+    at_depths_nearby,
+    flow_nearby,
+    predict_pixels,
+    unexplained_flow,
+)
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.settings import TrackerSettings
@@ -102,7 +107,8 @@ class KltTracker:
         if self._pyramid is None:
             return last
         # predict: by the camera's motion, the point's own, or its flow beyond that of the last time
-        static_uv, _ = predict_pixels(last.xy, p_before, T_now_before, camera)
+        p_near = at_depths_nearby(last.uv, last.xy, p_before)
+        static_uv, _ = predict_pixels(last.xy, p_near, T_now_before, camera)
         start, depth = predict_pixels(last.xy, p_predicted, T_now_before, camera)
         moves = np.isfinite(p_predicted[:, 0]) & (p_predicted != p_before).any(axis=1)
         start = np.where(moves[:, None], start, static_uv + last.extra_flow)

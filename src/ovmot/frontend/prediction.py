@@ -77,6 +77,16 @@ def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray
     return out
 
 
+def at_depths_nearby(uv: FloatArray, xy: FloatArray, p_cam: FloatArray) -> FloatArray:
+    """The points (N, 3), metres, with unknown ones on their rays at the depths around them.
+
+    `uv` (N, 2) pixels, `xy` (N, 2) normalized coordinates. Still NaN where too few are known.
+    """
+    depth = fill_depths(uv, p_cam[:, 2], np.nan)
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    return np.where(np.isfinite(p_cam), p_cam, ray * depth[:, None])
+
+
 def predict_right(xy_left: FloatArray, depth: FloatArray, rig: StereoRig) -> FloatArray:
     """Right pixels (N, 2) of left normalized coordinates (N, 2) at given depths (N,), metres."""
     ray = np.concatenate([xy_left, np.ones((len(xy_left), 1))], axis=1)
