@@ -98,3 +98,9 @@ def gate(dof: int, probability: float) -> float:
 def gates(dof: FloatArray, probability: float) -> FloatArray:
     """The same for arrays (N,) of degrees of freedom."""
     return np.asarray(chdtri(dof, 1.0 - probability))
+
+
+# The rig.
+RIG_REACH_M = 3.0
+"""What is nearer than this and stands still in the picture is the rig: the bonnet of a car before a
+camera behind the windscreen or on the roof. Other vehicles do not keep such a distance."""

@@ -12,6 +12,7 @@ from ovmot.feature_table import FeatureTable, append_frame, empty_table, mark_us
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.initialization.bundle_adjustment import AdjustedWindow, bundle_adjust, keyframe_pixels
+from ovmot.initialization.clock_offset import SEARCH_S, ClockOffset, find_clock_offset
 from ovmot.initialization.dynamic import InitializationPrior, dynamic_initialization
 from ovmot.initialization.factors import (
     Factor,
@@ -22,6 +23,7 @@ from ovmot.initialization.factors import (
     zero_velocity_factor,
 )
 from ovmot.initialization.static import static_initialization
+from ovmot.initialization.stereo_path import stereo_path
 from ovmot.initialization.window import KeyframeWindow, filter_state
 from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
@@ -70,26 +72,61 @@ class FilterInitializer:
 
     def imu_time_ns(self, frame_ns: int) -> int:
         """A frame's time on the IMU's clock, by the calibration's time offset."""
-        return frame_ns + round(self.rig.time_offset_s * 1e9)
+        return self._by_calibration.imu_time_ns(frame_ns)
 
     def imu_needed_until(self, frame_ns: int) -> int | None:
-        """The IMU time that must be reached before this frame can be used."""
-        return self.imu_time_ns(frame_ns)
+        """The IMU time that must be reached before this frame can be used: as far beyond it as
+        another time offset is sought."""
+        reach_s = SEARCH_S if self.settings.filter.estimate_time_offset else 0.0
+        return self.imu_time_ns(frame_ns) + round(1e9 * reach_s)
+
+    @property
+    def _by_calibration(self) -> "_Start":
+        settings = self.settings.filter
+        sigma_s = settings.time_offset_sigma_s if settings.estimate_time_offset else 0.0
+        known = ClockOffset(self.rig.time_offset_s, sigma_s)
+        return _Start(self.rig, self.noise, self.settings, known)
 
     def __call__(
         self, frames: Sequence[FrontendFrame], imu: ImuBuffer
     ) -> tuple[MsckfFilter, FeatureTable] | str:
         """A filter whose state is at the last frame's time, with the keyframes as clones, and the
         table of what they saw; or why there is none yet."""
-        reasons: list[str] = []
-        for name, closed_form in (("static", self._static), ("dynamic", self._dynamic)):
+        start, reasons = self._by_calibration.with_clock(frames, imu), []
+        for name, closed_form in (("static", start.static), ("dynamic", start.dynamic)):
             try:
-                return self._adjusted_filter(closed_form(frames, imu), imu)
+                return start.adjusted_filter(closed_form(frames, imu), imu)
             except (InitializationError, DatasetError, np.linalg.LinAlgError) as error:
                 reasons.append(f"{name} initialization: {error}")
         return "; ".join(reasons)
 
-    def _static(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """A start by the time offset `clock`; what else it has is that of the initializer."""
+
+    rig: StereoRig
+    noise: ImuNoise
+    settings: Settings
+    clock: ClockOffset
+
+    def imu_time_ns(self, frame_ns: int) -> int:
+        """A frame's time on the IMU's clock."""
+        return frame_ns + round(self.clock.value_s * 1e9)
+
+    def with_clock(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> "_Start":
+        """The start by the time offset that the turns of the window show, if they show another."""
+        if self.clock.sigma_s == 0.0 or len(frames) < _MIN_DYNAMIC_FRAMES:
+            return self
+        stamps = [self.imu_time_ns(f.timestamp_ns) for f in frames]
+        try:
+            intervals = [imu.between(a, b) for a, b in pairwise(stamps)]
+            path = stereo_path(frames, intervals, self.rig)
+        except (InitializationError, DatasetError):
+            return self
+        return replace(self, clock=find_clock_offset(path, np.array(stamps), imu, self.clock))
+
+    def static(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
         """The guess that the rig is stationary over the window."""
         settings = self.settings.initialization
         now = self.imu_time_ns(frames[-1].timestamp_ns)
@@ -115,7 +152,7 @@ class FilterInitializer:
             state, T, np.array(stamps), keyframes, solution.feature_id, stationary=True
         )
 
-    def _dynamic(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
+    def dynamic(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
         """The guess by stereo motion and IMU over the window."""
         settings = self.settings
         window_s = settings.initialization.motion_window_s
@@ -136,7 +173,7 @@ class FilterInitializer:
             [frames[k] for k in index], solution.feature_id, stationary=False,
         )  # fmt: skip
 
-    def _adjusted_filter(
+    def adjusted_filter(
         self, guess: InitialGuess, imu: ImuBuffer
     ) -> tuple[MsckfFilter, FeatureTable]:
         """The filter after bundle adjustment, and the table with used observations marked."""
@@ -153,7 +190,7 @@ class FilterInitializer:
         clone_ns = np.array([frames[k].timestamp_ns for k in kept])
         state = filter_state(
             adjusted.window, adjusted.covariance, n_without_frame + kept, clone_ns,
-            self.rig.time_offset_s,
+            self.clock.value_s,
         )  # fmt: skip
         state = replace(
             state,
@@ -179,7 +216,7 @@ class FilterInitializer:
     ) -> AdjustedWindow:
         """The guess adjusted to the IMU and to what its frames saw of these features."""
         settings = self.settings
-        gravity, sigma_s = settings.filter.gravity_mps2, self._time_offset_sigma_s()
+        gravity, sigma_s = settings.filter.gravity_mps2, self.clock.sigma_s
         accel_bias_sigma = settings.initialization.accel_bias_sigma_mps2
         samples = [imu.between(int(a), int(b)) for a, b in pairwise(guess.imu_ns)]
         in_gap = [imu.spacing_s(s) > settings.imu.max_gap_s for s in samples]
@@ -236,10 +273,6 @@ class FilterInitializer:
             if min(to_previous, to_last) >= spacing_ns:
                 out.append(k)
         return [*out, last]
-
-    def _time_offset_sigma_s(self) -> float:
-        settings = self.settings.filter
-        return settings.time_offset_sigma_s if settings.estimate_time_offset else 0.0
 
 
 def _with_velocities(

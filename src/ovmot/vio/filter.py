@@ -93,8 +93,8 @@ class MsckfFilter:
         """The state at a time on the IMU's clock, and the angular velocity (3,), rad/s, there."""
         if end_ns == self.state.timestamp_ns:
             return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias
-        # a frame is found covered by an older time offset: its change may lack some microseconds
-        held_ns = round(3e9 * self.settings.filter.time_offset_sigma_s)
+        # a frame is found covered by an older time offset: by its change, a part may be missing
+        held_ns = round(1e9 * self.settings.imu.max_gap_s)
         samples = imu.between(self.state.timestamp_ns, end_ns, held_ns=held_ns)
         result = self._integrated(self.state.imu, self.state.imu_first, samples, imu)
         return propagate(self.state, result, end_ns), result.angular_velocity

@@ -1,0 +1,146 @@
+"""The rig's own body in its pictures: a bonnet, a dashboard, a propeller guard.
+
+It stands still in the picture while the rig moves. To the segmentation it looks like a body that
+drives with the rig. Cells of the pictures are counted: features that stood still although what is
+at rest had to move there, and features that moved.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.physics import RIG_REACH_M
+from ovmot.types import PixelNoise, PoseWindow
+
+_CELLS = 32
+"""Columns of cells over a picture: those of `tracker.fine_columns`, one feature in each."""
+_LEAST_SPAN_S = 0.3
+"""Shorter comparisons are left out: within them what stands in the picture may just be far."""
+_CERTAIN = 20
+"""Times that a feature was seen to stand in a cell, until it counts as the rig's: two seconds at
+10 Hz. One that slides over the street does not stand that long."""
+_SHARE = 0.8
+"""Of the features in such a cell, those that must stand: the others were there before the rig
+moved, or seen through a pane."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigBody:
+    """How often features stood and moved in each cell (rows, columns) of the left and of the right
+    picture."""
+
+    stood: tuple[IntArray, IntArray]
+    moved: tuple[IntArray, IntArray]
+
+    def cells(self, side: int) -> BoolArray:
+        """The cells (rows, columns) of a picture, 0 left, 1 right, that show the rig."""
+        stood, moved = self.stood[side], self.moved[side]
+        certain: BoolArray = (stood >= _CERTAIN) & (stood >= _SHARE * (stood + moved))
+        return certain
+
+    def shows(self, pixels: FloatArray, rig: StereoRig) -> BoolArray:
+        """Which features (N,), by their pixels (N, 4), lie on the rig in either picture."""
+        out = np.zeros(len(pixels), dtype=np.bool_)
+        for side, camera in enumerate(rig.cameras):
+            cells = self.cells(side)
+            if cells.any():
+                row, column, inside = _cell_of(pixels[:, 2 * side : 2 * side + 2], camera)
+                out[inside] |= cells[row[inside], column[inside]]
+        return out
+
+    def mask(self, side: int, camera: Camera) -> Image | None:
+        """The mask (height, width) of a picture, 255 on the rig; None where it is not seen."""
+        cells = self.cells(side)
+        if not cells.any():
+            return None
+        px = _cell_px(camera)
+        whole = np.kron(cells, np.ones((px, px), dtype=np.uint8))
+        return np.asarray(255 * whole[: camera.height, : camera.width], dtype=np.uint8)
+
+
+def no_rig_body(rig: StereoRig) -> RigBody:
+    """Nothing counted yet."""
+    zeros = tuple(
+        np.zeros((-(-c.height // _cell_px(c)), _CELLS), dtype=np.int64) for c in rig.cameras
+    )
+    left, right = zeros
+    return RigBody((left, right), (left, right))
+
+
+def watch_rig_body(
+    body: RigBody, history: StereoHistory, pixels: FloatArray, window: PoseWindow, rig: StereoRig
+) -> RigBody:
+    """The counts with those of a newest frame.
+
+    `history` is that of its features, `pixels` (N, 4) where they are now. A feature is counted
+    that was seen at the history's oldest frame.
+    """
+    if len(history) == 0 or history.span_s[0] < _LEAST_SPAN_S:
+        return body
+    stood, moved = list(body.stood), list(body.moved)
+    stands, moves = standing_features(history, window, rig)
+    for side, camera in enumerate(rig.cameras):
+        row, column, inside = _cell_of(pixels[:, 2 * side : 2 * side + 2], camera)
+        for which, counts in ((stands, stood), (moves, moved)):
+            at = which & inside
+            counts[side] = counts[side].copy()
+            np.add.at(counts[side], (row[at], column[at]), 1)
+    return replace(body, stood=(stood[0], stood[1]), moved=(moved[0], moved[1]))
+
+
+def standing_features(
+    history: StereoHistory, window: PoseWindow, rig: StereoRig
+) -> tuple[BoolArray, BoolArray]:
+    """Which features (N,) stand in the left picture although what is at rest moves, and which move.
+
+    Compared are the oldest frame of the history and now. Where a point within the rig's reach would
+    be, at rest, follows from its stereo pair; one of unknown depth, or farther, is expected where
+    the rotation alone leads it, since another vehicle can keep its distance, but not turn with the
+    rig. A feature stands that is within the noise of where it was, and off by ten times the noise
+    from where it is expected.
+    """
+    then, now, p_then = history.then[0, :, :2], history.now[:, :2], history.p_then[0]
+    clone = int(np.searchsorted(window.timestamp_ns, history.clone_ns[0]))
+    T_world_then, T_world_now = window.T_world_imu[clone], window.T_world_imu[-1]
+    T_now_then = (
+        se3.inverse(rig.T_imu_cam0) @ se3.inverse(T_world_now) @ T_world_then @ rig.T_imu_cam0
+    )
+    near = p_then[:, 2] < RIG_REACH_M
+    ray = np.concatenate([then, np.ones((len(then), 1))], axis=1)
+    expected = np.where(near[:, None], se3.apply(T_now_then, p_then), ray @ T_now_then[:3, :3].T)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        expected_xy = expected[:, :2] / expected[:, 2:]
+        in_front = expected[:, 2] > 0.0
+        way = np.linalg.norm(now - then, axis=1) * rig.cam0.fx
+        off = np.linalg.norm(expected_xy - then, axis=1) * rig.cam0.fx
+        noise = _way_sigma_px(history.noise, int(history.n_frames[0]))
+        must_move = (off > 10.0 * noise) | (near & ~in_front)
+        stands: BoolArray = must_move & (way < 3.0 * noise)
+        moves: BoolArray = way > 6.0 * noise
+    return stands, moves
+
+
+def _way_sigma_px(noise: PixelNoise, n_frames: int) -> float:
+    """Standard deviation of a patch's way through the picture, where it has none, over frames."""
+    drift = float(noise.drift_sigma_px(np.array([n_frames]))[0])
+    return float(np.hypot(2.0**0.5 * noise.single_px, drift))
+
+
+def _cell_px(camera: Camera) -> int:
+    return -(-camera.width // _CELLS)
+
+
+def _cell_of(uv: FloatArray, camera: Camera) -> tuple[IntArray, IntArray, BoolArray]:
+    """Row and column (N,) of the cells of pixels (N, 2), and which lie in the picture (N,)."""
+    u, v = uv.T
+    with np.errstate(invalid="ignore"):
+        inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+    px = _cell_px(camera)
+    column = (np.where(inside, u, 0.0) // px).astype(np.int64)
+    row = (np.where(inside, v, 0.0) // px).astype(np.int64)
+    return row, column, inside
