@@ -34,7 +34,7 @@ class Feedback:
     Features that move on their own: `moving_id` (M,) and their velocities `moving_velocity` (M, 3),
     m/s in the left camera's axes. Where more features are wanted: left pixels `focus_uv` (N, 2) and
     radii `focus_radius_px` (N,). Features that objects hold, which the odometry source leaves
-    alone: `held_id` (K,).
+    alone: `held_id` (K,). Those and all that were found dynamic, in any order: `dynamic_id` (D,).
     """
 
     rig: StereoRig
@@ -44,13 +44,14 @@ class Feedback:
     focus_uv: FloatArray
     focus_radius_px: FloatArray
     held_id: IntArray
+    dynamic_id: IntArray
 
 
 def no_feedback(rig: StereoRig) -> Feedback:
     """That of a first frame: nothing is known but the calibration."""
     ids = np.empty(0, dtype=np.int64)
     return Feedback(
-        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids
+        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids, ids
     )  # fmt: skip
 
 

@@ -241,7 +241,9 @@ class Odometry:
         # 6 marginalize: the oldest clone, or the newest one when stationary
         with watch.stage("marginalize"):
             self._source, self._table = source.marginalize(table)
-        self._feedback = objects.feedback(self._source.calibrated_rig(), pixel_sigma)
+        self._feedback = objects.feedback(
+            self._source.calibrated_rig(), pixel_sigma, self._table.feature_id[self._table.dynamic]
+        )
         result = FrameResult(
             frame=frame,
             ego=self._source.estimate(frame.timestamp_ns),

@@ -35,8 +35,9 @@ class ObjectsResult:
     focus_uv: FloatArray
     focus_radius_px: FloatArray
 
-    def feedback(self, rig: StereoRig, pixel_sigma: float) -> Feedback:
-        """The feedback for later frames, with the calibration and the pixel noise of now."""
+    def feedback(self, rig: StereoRig, pixel_sigma: float, dynamic_id: IntArray) -> Feedback:
+        """The feedback for later frames, with the calibration, the pixel noise and the dynamic
+        features (D,) of now."""
         return Feedback(
             rig=rig,
             pixel_sigma=pixel_sigma,
@@ -45,6 +46,7 @@ class ObjectsResult:
             focus_uv=self.focus_uv,
             focus_radius_px=self.focus_radius_px,
             held_id=self.held_id,
+            dynamic_id=np.union1d(self.held_id, dynamic_id),
         )
 
 
