@@ -4,7 +4,7 @@ Each pair of consecutive samples is integrated in the body frame at its start (`
 pairs at once, and the increments are chained. Gravity is (0, 0, -g) in world.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -127,11 +127,14 @@ def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> Sta
     )
     T = pose_matrix(state.imu)
     clones = Clones(
-        np.append(state.clones.timestamp_ns, frame_ns),
+        np.concatenate([state.clones.timestamp_ns, [frame_ns]]),
         np.concatenate([state.clones.T_world_imu, T[None]]),
         np.concatenate([state.clones.T_world_imu_first, T[None]]),
     )
-    return replace(state, clones=clones, covariance=covariance)
+    return State(
+        state.timestamp_ns, state.imu, state.imu_first, state.time_offset_s, clones, covariance,
+        state.calibration, state.landmarks,
+    )  # fmt: skip
 
 
 def _means(values: FloatArray) -> FloatArray:
