@@ -143,14 +143,14 @@ def _update_with_slam_features(
     state = update_slam_features(
         state, rig, T_imu_anchor, pixels, settings.landmark_pixel_sigma, settings.chi2_multiplier
     )
-    used = np.zeros_like(table.used)
+    used = np.zeros(table.shape, dtype=np.bool_)
     used[-1, column] = True
     return state, mark_used(table, used)
 
 
 def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     """At most `count` of the candidates (F,), those with most views first."""
-    if candidates.sum() <= count:
+    if np.count_nonzero(candidates) <= count:
         return candidates
     out = np.zeros_like(candidates)
     ranked = np.argsort(np.where(candidates, -n_views, 1), kind="stable")
