@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.id_sets import contained, positions
+from ovmot.geometry.id_sets import contained
 from ovmot.kernels.table_kernel import (
     append_row_compiled,
+    columns_of_compiled,
     live_columns_compiled,
     select_views_compiled,
 )
@@ -67,7 +68,8 @@ class FeatureTable:
 
     def columns(self, feature_id: IntArray) -> IntArray:
         """Columns (N,) of features (N,), -1 for those that the table does not hold."""
-        return positions(feature_id, self.feature_id)
+        ids = np.ascontiguousarray(feature_id, dtype=np.int64)
+        return columns_of_compiled(ids, self.feature_id)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,7 @@ def empty_table() -> FeatureTable:
 def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     """The table with one more row, and a column for each feature that is new in it."""
     n_old = table.shape[1]
-    column = positions(seen.feature_id, table.feature_id)
+    column = table.columns(seen.feature_id)
     is_new = column < 0
     n_new = int(is_new.sum())
     column[is_new] = n_old + np.arange(n_new)
