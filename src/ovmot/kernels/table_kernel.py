@@ -15,7 +15,7 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2⁶⁴ over the golden ratio, odd
 
 
 def columns_of(ids: IntArray, among: IntArray) -> IntArray:
-    """Where each id (N,) stands in an array of different ids (n,) in any order; -1 for none.
+    """Where each id (N,) stands first in an array of ids (n,) in any order; -1 for none.
 
     A hash table with linear probing; Fibonacci hashing (D. Knuth, TAOCP vol. 3, sec. 6.4).
     """

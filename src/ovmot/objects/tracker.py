@@ -8,6 +8,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained, union, without
+from ovmot.kernels.table_kernel import columns_of_compiled
 from ovmot.objects.association import associate
 from ovmot.objects.feature_motions import FeatureHistory, FeatureMotions, moving_with
 from ovmot.objects.measurement import ObjectMeasurement
@@ -192,8 +193,10 @@ def _with_joining(
 
 def _track_ids(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
     """The track that holds each feature (N,), by id; -1 for none. Coasting tracks hold none."""
-    track_id = np.full(len(feature_id), -1, dtype=np.int64)
-    for track in tracks:
-        if track.state != TrackState.COASTING:
-            track_id[contained(feature_id, track.feature_id)] = track.track_id
-    return track_id
+    holding = [t for t in reversed(tracks) if t.state != TrackState.COASTING]
+    if not holding:
+        return np.full(len(feature_id), -1, dtype=np.int64)
+    held = np.concatenate([t.feature_id for t in holding])
+    owner = np.repeat([t.track_id for t in holding], [len(t.feature_id) for t in holding])
+    at = columns_of_compiled(feature_id, held)  # the first of equal ids, so that of the last track
+    return np.where(at >= 0, np.append(owner, -1)[at], -1)
