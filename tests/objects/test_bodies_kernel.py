@@ -8,6 +8,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.bodies_kernel import (
     height_above_ground_compiled,
     least_distance_compiled,
+    twists_about_compiled,
     velocity_distance_compiled,
     view_weights_compiled,
     world_points_compiled,
@@ -73,3 +74,16 @@ def test_points_in_world() -> None:
     np.testing.assert_allclose(p, se3.apply(T[body], ray * z[:, None]), atol=1e-13)
     np.testing.assert_allclose(C, J @ N_inverse @ J.swapaxes(-1, -2), rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(by_twist, -J @ K.swapaxes(-1, -2), rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 5e-4, 0.3, 2.5])
+def test_twists_about_the_bodies(angle: float) -> None:
+    rng = np.random.default_rng(5)
+    turn = rng.normal(size=(4, 3))
+    turn *= angle / np.linalg.norm(turn, axis=1, keepdims=True)
+    motions = se3.exp(np.hstack([turn, rng.normal(size=(4, 3))]))
+    T, origin, span = se3.exp(rng.normal(size=6)), rng.normal(size=(4, 3)), rng.uniform(0.1, 1.0, 4)
+    shift = se3.make(np.eye(3), origin)
+    about = se3.inverse(shift) @ T @ motions @ se3.inverse(T) @ shift
+    found = twists_about_compiled(motions, T, origin, span)
+    np.testing.assert_allclose(found, se3.log(about) / span[:, None], rtol=1e-9, atol=1e-11)

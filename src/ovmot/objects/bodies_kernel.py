@@ -10,8 +10,11 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.kernels.small_matrices import squared_mahalanobis
+from ovmot.kernels.small_matrices import cross, squared_mahalanobis
 from ovmot.kernels.sorting import median
+
+_SMALL_ANGLE, _SERIES_ANGLE = 1e-5, 1e-3  # series below them
+_NEAR_PI = math.pi - 1e-4
 
 
 def velocity_distance(error: FloatArray, covariance: FloatArray, spread: float) -> float:
@@ -123,9 +126,51 @@ def world_points(
     return p, C, by_twist
 
 
+def twists_about(
+    T_now_then: FloatArray, T_world_cam0: FloatArray, origin: FloatArray, span_s: FloatArray
+) -> FloatArray:
+    """Twists (B, 6), (ω, v), in world axes about origins (B, 3), m, over spans (B,), s.
+
+    `T_now_then` (B, 4, 4): motions in the left camera `T_world_cam0` (4, 4). The logarithm of
+    `geometry.se3`; NaN for a rotation near half a turn, where its antisymmetric part vanishes.
+    """
+    out, M, R, t = np.empty((len(origin), 6)), np.empty((3, 4)), np.empty((3, 3)), np.empty(3)
+    T = T_world_cam0
+    for b in range(len(origin)):
+        for i in range(3):
+            for j in range(4):
+                M[i, j] = T[i, 3] if j == 3 else 0.0
+                for k in range(3):
+                    M[i, j] += T[i, k] * T_now_then[b, k, j]
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = M[i, 0] * T[j, 0] + M[i, 1] * T[j, 1] + M[i, 2] * T[j, 2]
+        for i in range(3):
+            t[i] = M[i, 3] - origin[b, i]
+            for j in range(3):
+                t[i] += R[i, j] * (origin[b, j] - T[j, 3])
+        x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+        angle = math.atan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
+        scale = 0.5 * (1.0 + angle * angle / 6.0 if angle < _SMALL_ANGLE else angle / sine)
+        if angle > _NEAR_PI:
+            scale = math.nan
+        w = (scale * x, scale * y, scale * z)
+        d = 1.0 / 12.0 + angle * angle / 720.0
+        if angle >= _SERIES_ANGLE:
+            d = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / (angle * angle)
+        once = cross(w, (t[0], t[1], t[2]))
+        twice = cross(w, once)
+        for i in range(3):
+            out[b, i] = w[i] / span_s[b]
+            out[b, 3 + i] = (t[i] - 0.5 * once[i] + d * twice[i]) / span_s[b]
+    return out
+
+
 _FOLDER = code_folder(Path(__file__))
 velocity_distance_compiled = compiled(velocity_distance, _FOLDER)
 least_distance_compiled = compiled(least_distance, _FOLDER)
 height_above_ground_compiled = compiled(height_above_ground, _FOLDER)
 view_weights_compiled = compiled(view_weights, _FOLDER)
+twists_about_compiled = compiled(twists_about, _FOLDER)
 world_points_compiled = compiled(world_points, _FOLDER)

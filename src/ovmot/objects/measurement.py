@@ -8,7 +8,11 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.objects.bodies_kernel import height_above_ground_compiled, least_distance_compiled
+from ovmot.objects.bodies_kernel import (
+    height_above_ground_compiled,
+    least_distance_compiled,
+    twists_about_compiled,
+)
 from ovmot.objects.clustering import (
     MotionHistory,
     compatible_tracks,
@@ -228,9 +232,10 @@ def _views_of(
         track_length=np.concatenate([past.n_frames[rows].astype(np.float64), none]),
         origin=se3.apply(T_now, centre),
     )
-    shift = se3.make(np.eye(3), views.origin)
-    T_world = se3.inverse(shift) @ T_now @ found.T_now_then @ se3.inverse(T_now) @ shift
-    return views, se3.log(T_world) / past.span_s[found.row][:, None]
+    twist = twists_about_compiled(
+        found.T_now_then, np.ascontiguousarray(T_now), views.origin, past.span_s[found.row]
+    )
+    return views, twist
 
 
 def _clones_of(history: StereoHistory, window: PoseWindow) -> IntArray:

@@ -165,11 +165,11 @@ def _with_current_features(tracks: Sequence[Track], motions: FeatureMotions) -> 
     joined = [_with_joining(t, motions, held, at) for t, at in zip(tracks, in_boxes, strict=True)]
     out, taken, in_view = [], np.empty(0, dtype=np.int64), np.sort(motions.feature_id)
     for track in joined:
-        kept = contained(track.feature_id, in_view) & ~contained(track.feature_id, taken)
-        coasts = track.state == TrackState.COASTING
-        ids = track.feature_id if coasts else track.feature_id[kept]
+        ids = track.feature_id
+        if track.state != TrackState.COASTING:
+            ids = ids[contained(ids, in_view) & ~contained(ids, taken)]
         taken = union(taken, ids)
-        out.append(replace(track, feature_id=ids))
+        out.append(track if len(ids) == len(track.feature_id) else replace(track, feature_id=ids))
     return out
 
 

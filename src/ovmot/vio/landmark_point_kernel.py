@@ -139,10 +139,28 @@ def place_landmarks(
     n = len(value)
     p, by_value, by_anchor = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 3, _POSE))
     for k in range(n):
-        place(
-            form, axes, value[k], anchor[k], poses, T_imu_anchor, p[k], by_value[k], by_anchor[k]
-        )
+        place(form, axes, value[k], anchor[k], poses, T_imu_anchor, p[k], by_value[k], by_anchor[k])
     return p, by_value, by_anchor
+
+
+@part
+def _change_jacobian(
+    to_value: FloatArray, before: FloatArray, by_old: FloatArray, by_new: FloatArray, J: FloatArray
+) -> None:
+    """J (s, s + 12) of a new value by the old value, by the old anchor's pose and by the new one's.
+
+    `to_value` (3, 3): of the new value by the point; `before` (3, 3), `by_old`, `by_new` (3, 6): of
+    the point. J is zero before.
+    """
+    size = len(J)
+    for a in range(size):
+        for i in range(3):
+            by_point = to_value[3 - size + a, i]
+            for c in range(size):
+                J[a, c] += by_point * before[i, 3 - size + c]
+            for c in range(_POSE):
+                J[a, size + c] += by_point * by_old[i, c]
+                J[a, size + _POSE + c] -= by_point * by_new[i, c]
 
 
 def change_anchors(
@@ -182,15 +200,7 @@ def change_anchors(
         for c in range(_POSE):
             column[m, size + c] = first_clone + _POSE * anchors[0] + c
             column[m, size + _POSE + c] = first_clone + _POSE * anchors[1] + c
-        for a in range(size):
-            row = J[size * m + a]
-            for i in range(3):
-                by_point = to_value[3 - size + a, i]
-                for c in range(size):
-                    row[c] += by_point * before[i, 3 - size + c]
-                for c in range(_POSE):
-                    row[size + c] += by_point * by_old[i, c]
-                    row[size + _POSE + c] -= by_point * by_new[i, c]
+        _change_jacobian(to_value, before, by_old, by_new, J[size * m : size * m + size])
     covariance, cross = P.copy(), np.zeros((len(J), n))
     for r in range(len(J)):
         for c in range(width):
