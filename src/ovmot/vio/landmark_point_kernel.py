@@ -298,7 +298,9 @@ def initialize_landmarks(
                 change += rows[a, j] * error[x0 + j]
             latest[m, 3 - size + a] += change
     covariance = np.zeros((old + n * size, old + n * size))
-    covariance[:old, :old] = P
+    for i in range(old):
+        for j in range(old):
+            covariance[i, j] = P[i, j]
     for r in range(n * size):
         cross = covariance[old + r]
         for i in range(k):
