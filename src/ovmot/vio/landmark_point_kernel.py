@@ -260,6 +260,17 @@ def _solved_rows(
             G[a, last] += inverse[a, i] * B[i, last]
 
 
+@part
+def _add_change(G: FloatArray, error: FloatArray, value: FloatArray) -> None:
+    """Add to a value (s,) what G (s, k + 1), see `_solved_rows`, makes of the error (k,) of x."""
+    last = G.shape[1] - 1
+    for a in range(len(G)):
+        change = G[a, last]
+        for j in range(last):
+            change += G[a, j] * error[j]
+        value[a] += change
+
+
 def initialize_landmarks(
     form: int,
     axes: FloatArray,
@@ -292,11 +303,7 @@ def initialize_landmarks(
         place(form, axes, first[m], anchor, poses[1], T_imu_anchor, p, by_value, by_anchor)
         rows = G[m * size : m * size + size]
         _solved_rows(R[m], E[m], by_value, by_anchor, at, size, rows, inverse[m])
-        for a in range(size):
-            change = rows[a, k]
-            for j in range(k):
-                change += rows[a, j] * error[x0 + j]
-            latest[m, 3 - size + a] += change
+        _add_change(rows, error[x0 : x0 + k], latest[m, 3 - size :])
     covariance = np.zeros((old + n * size, old + n * size))
     for i in range(old):
         for j in range(old):
