@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.id_sets import contained, positions
+from ovmot.geometry.id_sets import contained
 from ovmot.kernels.table_kernel import (
     append_row_compiled,
+    columns_of_compiled,
     live_columns_compiled,
     select_views_compiled,
 )
@@ -62,11 +63,13 @@ class FeatureTable:
         """Features (F,) that the newest frame holds."""
         if len(self.frame_ns) == 0:
             return np.zeros(len(self.feature_id), dtype=np.bool_)
-        return np.asarray(np.isfinite(self.pixels[-1, :, ::2]).any(axis=-1))
+        left, right = self.pixels[-1, :, 0], self.pixels[-1, :, 2]
+        return np.asarray(np.isfinite(left) | np.isfinite(right))
 
     def columns(self, feature_id: IntArray) -> IntArray:
         """Columns (N,) of features (N,), -1 for those that the table does not hold."""
-        return positions(feature_id, self.feature_id)
+        ids = np.ascontiguousarray(feature_id, dtype=np.int64)
+        return columns_of_compiled(ids, self.feature_id)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,7 @@ def empty_table() -> FeatureTable:
 def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     """The table with one more row, and a column for each feature that is new in it."""
     n_old = table.shape[1]
-    column = positions(seen.feature_id, table.feature_id)
+    column = table.columns(seen.feature_id)
     is_new = column < 0
     n_new = int(is_new.sum())
     column[is_new] = n_old + np.arange(n_new)
@@ -159,21 +162,36 @@ def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
 
 def mark_dynamic(table: FeatureTable, feature_id: IntArray) -> FeatureTable:
     """The table with these features closed to the filter for good."""
+    if not len(feature_id):
+        return table
     dynamic, column = table.dynamic.copy(), table.columns(feature_id)
     dynamic[column[column >= 0]] = True
-    return replace(table, dynamic=dynamic)
+    return _marked(table, dynamic=dynamic)
 
 
 def mark_outliers(table: FeatureTable, feature_id: IntArray, outlier: BoolArray) -> FeatureTable:
     """The table with a new verdict on the features (N,) seen now; of others the last one stays."""
     out, column = table.outlier.copy(), table.columns(feature_id)
     out[column[column >= 0]] = outlier[column >= 0]
-    return replace(table, outlier=out)
+    return _marked(table, outlier=out)
 
 
 def mark_used(table: FeatureTable, used: BoolArray) -> FeatureTable:
     """The table with these observations (T, F) taken by an update."""
-    return replace(table, used=table.used | used)
+    return _marked(table, used=table.used | used)
+
+
+def _marked(
+    table: FeatureTable, *, used: BoolArray | None = None, dynamic: BoolArray | None = None,
+    outlier: BoolArray | None = None,
+) -> FeatureTable:  # fmt: skip
+    """The table with other marks, those that are not None."""
+    return FeatureTable(
+        table.frame_ns, table.clone_ns, table.feature_id, table.pixels, table.normalized,
+        table.track_length, table.used if used is None else used,
+        table.dynamic if dynamic is None else dynamic,
+        table.outlier if outlier is None else outlier,
+    )  # fmt: skip
 
 
 def share_clone(table: FeatureTable, dropped_ns: int, kept_ns: int) -> FeatureTable:

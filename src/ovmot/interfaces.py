@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Protocol, Self
 
 import numpy as np
@@ -34,7 +35,7 @@ class Feedback:
     Features that move on their own: `moving_id` (M,) and their velocities `moving_velocity` (M, 3),
     m/s in the left camera's axes. Where more features are wanted: left pixels `focus_uv` (N, 2) and
     radii `focus_radius_px` (N,). Features that objects hold, which the odometry source leaves
-    alone: `held_id` (K,).
+    alone: `held_id` (K,). Those and all that were found dynamic, in any order: `dynamic_id` (D,).
     """
 
     rig: StereoRig
@@ -44,13 +45,14 @@ class Feedback:
     focus_uv: FloatArray
     focus_radius_px: FloatArray
     held_id: IntArray
+    dynamic_id: IntArray
 
 
 def no_feedback(rig: StereoRig) -> Feedback:
     """That of a first frame: nothing is known but the calibration."""
     ids = np.empty(0, dtype=np.int64)
     return Feedback(
-        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids
+        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids, ids
     )  # fmt: skip
 
 
@@ -161,7 +163,7 @@ def check_event(event: Event, rig: StereoRig) -> None:
         raise DatasetError(f"stamp {stamp!r}: write it as a whole number of ns")
     if isinstance(event, ImuSample):
         for name, reading in (("gyro", event.gyro), ("accel", event.accel)):
-            if np.shape(reading) != (3,) or not np.all(np.isfinite(reading)):
+            if np.shape(reading) != (3,) or not all(map(isfinite, reading)):
                 raise DatasetError(f"IMU sample {stamp}: {name} must be three finite numbers")
         return
     if isinstance(event, FeatureFrame):

@@ -21,6 +21,7 @@ from ovmot.frontend import FRONT_ENDS
 from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.remote import RemoteFrontEnd
 from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.id_sets import contained
 from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
 from ovmot.initialization.initializer import FilterInitializer
 from ovmot.interfaces import (
@@ -241,7 +242,9 @@ class Odometry:
         # 6 marginalize: the oldest clone, or the newest one when stationary
         with watch.stage("marginalize"):
             self._source, self._table = source.marginalize(table)
-        self._feedback = objects.feedback(self._source.calibrated_rig(), pixel_sigma)
+        self._feedback = objects.feedback(
+            self._source.calibrated_rig(), pixel_sigma, self._table.feature_id[self._table.dynamic]
+        )
         result = FrameResult(
             frame=frame,
             ego=self._source.estimate(frame.timestamp_ns),
@@ -347,7 +350,8 @@ class Odometry:
             table = mark_dynamic(table, points.feature_id[dynamic])
         else:
             self.counts["frames_split_unsure"] += 1
-        outlier = segmentation.outlier | np.isin(points.feature_id, self._feedback.held_id)
+        held = contained(points.feature_id, np.sort(self._feedback.held_id))
+        outlier = segmentation.outlier | held
         return mark_outliers(table, points.feature_id, outlier), history, segmentation
 
     def _watch_health(self, ego: EgoEstimate) -> None:

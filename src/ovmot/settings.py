@@ -30,7 +30,7 @@ class TrackerSettings(Section):
     """Front end: corners, optical flow, stereo matching."""
 
     max_features: int = Field(250, ge=20, le=5000)
-    """Features kept alive in the left image, in both where each camera is by itself."""
+    """Static features kept alive in the left image, in both where each camera is by itself."""
     fast_threshold: int = Field(15, ge=1, le=255)
     """Contrast in grey levels that FAST asks of a corner."""
     equalization: Literal["histogram", "linear", "clahe", "none"] = "linear"

@@ -140,11 +140,11 @@ def test_the_mask_holds_small_circles_alone() -> None:
 
 
 def test_every_fine_cell_gets_a_corner_though_there_are_enough(dots: Image) -> None:
-    found = new_corners(dots, None, NOTHING, None, SETTINGS)
+    found = new_corners(dots, None, NOTHING, np.zeros(len(NOTHING), np.bool_), None, SETTINGS)
     cell = set(map(tuple, (found // 64).astype(int).tolist()))
     assert len(found) > SETTINGS.max_features
     assert len(cell) >= 30  # of 8 columns of 64 px and 4 rows; they keep apart across cells too
-    again = new_corners(dots, None, found, None, SETTINGS)
+    again = new_corners(dots, None, found, np.zeros(len(found), np.bool_), None, SETTINGS)
     assert len(again) == 0
 
 
@@ -152,8 +152,8 @@ def test_corners_are_denser_where_the_focus_is_and_none_where_the_mask_is(dots: 
     focus, mask = np.zeros_like(dots), np.zeros_like(dots)
     focus[64:192, 64:192] = 255
     mask[:, 256:] = 1
-    even = new_corners(dots, None, NOTHING, None, SETTINGS)
-    dense = new_corners(dots, mask, NOTHING, focus, SETTINGS)
+    even = new_corners(dots, None, NOTHING, np.zeros(len(NOTHING), np.bool_), None, SETTINGS)
+    dense = new_corners(dots, mask, NOTHING, np.zeros(len(NOTHING), np.bool_), focus, SETTINGS)
     inside = [int(((c > 64) & (c < 192)).all(axis=1).sum()) for c in (even, dense)]
     assert 2 * inside[0] < inside[1] <= SETTINGS.focus_features
     assert dense[:, 0].max() < 256
@@ -181,13 +181,13 @@ def test_more_features_are_wanted_around_what_moves_or_may() -> None:
 def test_full_cells_are_left_out_before_corners_are_sought(dots: Image) -> None:
     """With the budget spent, new corners are those in cells without a feature, and in the focus."""
     settings = SETTINGS.model_copy(update={"max_features": 20})
-    first = new_corners(dots, None, NOTHING, None, settings)
+    first = new_corners(dots, None, NOTHING, np.zeros(len(NOTHING), np.bool_), None, settings)
     existing = first[first[:, 0] < 256]
     assert len(existing) >= settings.max_features
     focus = np.zeros(dots.shape, dtype=np.uint8)
     focus[64:128, 64:128] = 255
-    added = new_corners(dots, None, existing, None, settings)
-    also = new_corners(dots, None, existing, focus, settings)
+    added = new_corners(dots, None, existing, np.zeros(len(existing), np.bool_), None, settings)
+    also = new_corners(dots, None, existing, np.zeros(len(existing), np.bool_), focus, settings)
     cell = 64
 
     def cells(uv: FloatArray) -> set[tuple[int, int]]:
@@ -198,3 +198,14 @@ def test_full_cells_are_left_out_before_corners_are_sought(dots: Image) -> None:
     in_focus = (also[:, 0] // cell == 1) & (also[:, 1] // cell == 1)
     assert in_focus.sum() > 0
     assert not cells(also[~in_focus]) & cells(existing)
+
+
+def test_dynamic_features_are_not_counted(dots: Image) -> None:
+    """As many static features as are asked for, however many move."""
+    settings = SETTINGS.model_copy(update={"fine_features": 0})
+    first = new_corners(dots, None, NOTHING, np.zeros(0, np.bool_), None, settings)
+    none_moves = np.zeros(len(first), np.bool_)
+    assert len(new_corners(dots, None, first, none_moves, None, settings)) == 0
+    third = np.arange(len(first)) % 3 == 0
+    added = len(new_corners(dots, None, first, third, None, settings))
+    assert 0.5 * third.sum() < added <= third.sum()

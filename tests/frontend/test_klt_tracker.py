@@ -107,9 +107,11 @@ def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_rea
         preprocess(StereoFrame(k, image, image), painted_rig, settings, workers)[0]
         for k, image in enumerate(images)
     ]
-    first = tracker.step(views[0], np.empty((0, 3)), np.empty((0, 3)), np.eye(4), None)
+    first = tracker.step(
+        views[0], np.empty((0, 3)), np.empty((0, 3)), np.eye(4), None, np.empty(0, dtype=np.int64)
+    )
     p = 10.0 * np.column_stack([first.xy, np.ones(len(first))])
-    second = tracker.step(views[1], p, p, np.eye(4), None)
+    second = tracker.step(views[1], p, p, np.eye(4), None, np.empty(0, dtype=np.int64))
     _, a, b = np.intersect1d(first.feature_id, second.feature_id, return_indices=True)
     moved = second.uv[b] - first.uv[a]
     on_body = ((first.uv[a] > [108, 98]) & (first.uv[a] < [152, 142])).all(axis=1)

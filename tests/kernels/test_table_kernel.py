@@ -1,11 +1,13 @@
 """The compiled work on the feature table's arrays against plain NumPy."""
 
 import numpy as np
+import pytest
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.table_kernel import (
     append_row_compiled,
     available_views_compiled,
+    columns_of_compiled,
     gather_views_compiled,
     live_columns_compiled,
     select_views_compiled,
@@ -21,6 +23,16 @@ def arrays(rng: np.random.Generator) -> tuple[FloatArray, BoolArray, BoolArray]:
     pixels[rng.random((T, F)) < 0.3, 2:] = np.nan
     pixels[1:, ::2] = np.nan
     return pixels, rng.random((T, F)) < 0.2, rng.random(F) < 0.2
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 300])
+def test_columns_of_features(n: int) -> None:
+    rng = np.random.default_rng(5)
+    among = rng.permutation(np.r_[-5, rng.choice(10**12, n), 10**12 + 1024 * np.arange(n)])
+    ids = rng.permutation(np.r_[among[::2], 10**12 + 7, -6])
+    expected = [among.tolist().index(k) if k in among else -1 for k in ids]
+    assert columns_of_compiled(ids, among).tolist() == expected
+    assert columns_of_compiled(ids, among[:0]).tolist() == [-1] * len(ids)
 
 
 def test_observations_that_may_be_used() -> None:

@@ -28,19 +28,22 @@ def new_corners(
     image: Image,
     mask: Image | None,
     existing: FloatArray,
+    dynamic: BoolArray,
     focus: Image | None,
     settings: TrackerSettings,
 ) -> FloatArray:
-    """New corners (M, 2), pixels, beside the `existing` features (N, 2).
+    """New corners (M, 2), pixels, beside the `existing` features (N, 2), of which some are dynamic.
 
-    Over the image (height, width) evenly, up to `max_features`; one in each fine cell without any,
-    up to `fine_features` more; and up to `focus_features` densely where `focus` (height, width) is
-    not zero. None where `mask` (height, width) is not zero, or where the window of optical flow
-    would not be in the image. All lengths follow from the fine cell, and so scale with the image.
+    Over the image (height, width) evenly, up to `max_features` without the dynamic ones, of which
+    the ego motion has nothing; one in each fine cell without any, up to `fine_features` more; and
+    up to `focus_features` densely where `focus` (height, width) is not zero. None where `mask`
+    (height, width) is not zero, or where the window of optical flow would not be in the image. All
+    lengths follow from the fine cell, and so scale with the image.
     """
     shape, cell_px = image.shape, fine_cell_px(image.shape, settings)
-    n_focus = int(inside_mask(existing, focus).sum())
-    n_even = settings.max_features - (len(existing) - n_focus)
+    dense = inside_mask(existing, focus)
+    n_focus = int(dense.sum())
+    n_even = settings.max_features - int((~dense & ~dynamic).sum())
     even = even_spread(settings.max_features, cell_px, shape)
     spreads = (
         (n_even, even, False),
@@ -49,10 +52,10 @@ def new_corners(
         (settings.focus_features - n_focus, Spread(cell_px / 4.0, cell_px, 3 * 4), True),
     )
     room = np.zeros(shape, dtype=np.uint8)
-    dense = room if focus is None else focus
+    all_of_focus = room if focus is None else focus
     for n_most, spread, in_focus in spreads:
         if n_most > 0:
-            room |= dense if in_focus else with_room(existing, spread, shape)
+            room |= all_of_focus if in_focus else with_room(existing, spread, shape)
     if mask is not None:
         room[mask != 0] = 0
     corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, room)

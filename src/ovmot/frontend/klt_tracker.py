@@ -24,6 +24,7 @@ from ovmot.frontend.prediction import (
 )
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.geometry.id_sets import contained
 from ovmot.settings import TrackerSettings
 
 _NEW = 2
@@ -84,17 +85,19 @@ class KltTracker:
         p_predicted: FloatArray,
         T_now_before: FloatArray,
         focus: Image | None,
+        dynamic_id: IntArray,
     ) -> TrackedPoints:
         """The points of this view: those of the last one that are tracked, and new corners.
 
         `p_before` (N, 3), metres: the last points in the camera's frame of then, NaN where
         unknown, and `p_predicted` where in that frame they are now, if they move on their own.
         `T_now_before` (4, 4): predicted motion of the camera since. `focus` (height, width): not
-        zero where more corners are wanted.
+        zero where more corners are wanted. `dynamic_id` (D,): features that are none of the static
+        ones of which a number is asked for.
         """
         tracked = self._track(view, p_before, p_predicted, T_now_before)
         self.patches.keep(tracked.slot)
-        self.points = self._with_corners(view, tracked, focus)
+        self.points = self._with_corners(view, tracked, focus, dynamic_id)
         self._pyramid = view.pyramid
         return self.points
 
@@ -170,10 +173,11 @@ class KltTracker:
         return out
 
     def _with_corners(
-        self, view: View, tracked: TrackedPoints, focus: Image | None
+        self, view: View, tracked: TrackedPoints, focus: Image | None, dynamic_id: IntArray
     ) -> TrackedPoints:
         """The tracked points and as many new corners as there is room for."""
-        uv = new_corners(view.image, view.mask, tracked.uv, focus, self._settings)
+        dynamic = contained(tracked.feature_id, np.sort(dynamic_id))
+        uv = new_corners(view.image, view.mask, tracked.uv, dynamic, focus, self._settings)
         xy = view.camera.normalize(uv)
         uv, xy = uv[np.isfinite(xy[:, 0])], xy[np.isfinite(xy[:, 0])]
         n = len(uv)

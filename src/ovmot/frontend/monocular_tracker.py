@@ -59,7 +59,9 @@ class MonocularTracker:
             T = _motion_of(side, T_now_before, self._rig)
             last = tracker.points
             p_static = self._positions[side]
-            points[side] = tracker.step(views[side], p_static, p_static, T, None)
+            points[side] = tracker.step(
+                views[side], p_static, p_static, T, None, feedback.dynamic_id
+            )
             self._positions[side] = _positions(last, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()
 

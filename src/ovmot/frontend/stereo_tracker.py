@@ -65,7 +65,9 @@ class StereoTracker:
         p_predicted = p_before + self._displacements(feedback, dt_s)
         shape, cell_px = left.image.shape, fine_cell_px(left.image.shape, self._settings)
         focus = focus_mask(shape, feedback.focus_uv, feedback.focus_radius_px, cell_px)
-        points = self._left.step(left, p_before, p_predicted, T_now_before, focus)
+        points = self._left.step(
+            left, p_before, p_predicted, T_now_before, focus, feedback.dynamic_id
+        )
         # match them into the right image, and gate the matches
         pixels, self._pairs, matches = self._match_right(left, right, points, cell_px)
         self._last_ns = frame.timestamp_ns

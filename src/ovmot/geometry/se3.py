@@ -14,7 +14,10 @@ from ovmot.geometry.arrays import FloatArray
 def make(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Matrices (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
     R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
-    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    shape, shape_t = R.shape[:-2], t.shape[:-1]
+    if shape != shape_t:
+        shape = np.broadcast_shapes(shape, shape_t)
+    T = np.zeros((*shape, 4, 4))
     T[..., :3, :3] = R
     T[..., :3, 3] = t
     T[..., 3, 3] = 1.0
@@ -23,8 +26,12 @@ def make(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 
 def inverse(T_a_b: FloatArray) -> FloatArray:
     """T_b_a (..., 4, 4) of T_a_b (..., 4, 4)."""
-    R_b_a = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
-    return make(R_b_a, -(R_b_a @ T_a_b[..., :3, 3:])[..., 0])
+    T = np.zeros(T_a_b.shape)
+    R_b_a = T_a_b[..., :3, :3].swapaxes(-1, -2)
+    T[..., :3, :3] = R_b_a
+    T[..., :3, 3:] = -(R_b_a @ T_a_b[..., :3, 3:])
+    T[..., 3, 3] = 1.0
+    return T
 
 
 def apply(T_a_b: FloatArray, points_b: FloatArray) -> FloatArray:

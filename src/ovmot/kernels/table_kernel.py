@@ -11,6 +11,32 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled
 
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2⁶⁴ over the golden ratio, odd
+
+
+def columns_of(ids: IntArray, among: IntArray) -> IntArray:
+    """Where each id (N,) stands first in an array of ids (n,) in any order; -1 for none.
+
+    A hash table with linear probing; Fibonacci hashing (D. Knuth, TAOCP vol. 3, sec. 6.4).
+    """
+    size, shift = 4, 62
+    while size < 2 * len(among):
+        size, shift = 2 * size, shift - 1
+    slots, out = np.full(size, -1, np.int64), np.full(len(ids), -1, np.int64)
+    for n in range(len(among)):
+        slot = np.int64((np.uint64(among[n]) * _GOLDEN) >> np.uint64(shift))
+        while slots[slot] >= 0:
+            slot = (slot + 1) % size
+        slots[slot] = n
+    for n in range(len(ids)):
+        slot = np.int64((np.uint64(ids[n]) * _GOLDEN) >> np.uint64(shift))
+        while slots[slot] >= 0:
+            if among[slots[slot]] == ids[n]:
+                out[n] = slots[slot]
+                break
+            slot = (slot + 1) % size
+    return out
+
 
 def available_views(
     pixels: FloatArray, used: BoolArray, dynamic: BoolArray, rows: BoolArray
@@ -107,6 +133,7 @@ def select_views(
 
 
 _FOLDER = code_folder(Path(__file__))
+columns_of_compiled = compiled(columns_of, _FOLDER)
 append_row_compiled = compiled(append_row, _FOLDER)
 live_columns_compiled = compiled(live_columns, _FOLDER)
 select_views_compiled = compiled(select_views, _FOLDER)

@@ -1,12 +1,14 @@
 """Clusters of neighbouring points with one velocity: the candidates for rigid bodies."""
 
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.bodies_kernel import velocity_distance_compiled
 from ovmot.objects.clustering_kernel import SPREAD_SHARE, PointMotions, cluster_compiled
 from ovmot.objects.motion_kernel import moving_points_compiled, points_to_look_at_compiled
 from ovmot.physics import (
@@ -138,10 +140,11 @@ def same_body_velocity(
     `covariance` (3, 3): of their difference; to it comes the spread of velocities of a turning
     body. `probability`: of being accepted, for a part of the body.
     """
-    spread = TURN_SPREAD_MPS + SPREAD_SHARE * float(np.linalg.norm(of_body))
-    C = covariance + spread**2 * np.eye(3)
-    dv = of_body - velocity
-    return bool(dv @ np.linalg.solve(C, dv) < gate(3, probability))
+    spread = TURN_SPREAD_MPS + SPREAD_SHARE * hypot(*of_body)
+    distance = velocity_distance_compiled(
+        of_body - velocity, np.ascontiguousarray(covariance), spread
+    )
+    return distance < gate(3, probability)
 
 
 def compatible_tracks(track_id: int, other: int) -> bool:

@@ -8,6 +8,11 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.objects.bodies_kernel import (
+    height_above_ground_compiled,
+    least_distance_compiled,
+    twists_about_compiled,
+)
 from ovmot.objects.clustering import (
     MotionHistory,
     compatible_tracks,
@@ -178,12 +183,10 @@ def lies_flat(p_world: FloatArray, static: FloatArray, *, min_points: int = 5) -
     low as `LEAST_HEIGHT_M`. The ground is the lowest tenth of the static points within a car's
     length; with fewer than `min_points` there, nothing is known.
     """
-    offset = static[:, :2] - p_world[:, :2].mean(axis=0)
-    near = np.sort(static[(offset**2).sum(axis=1) < CAR_SIZE_M[0] ** 2, 2])
-    if len(near) < min_points:
-        return False
-    own, ground = np.sort(p_world[:, 2]), near[len(near) // 10]
-    return bool(own[-1 - len(own) // 10] < ground + LEAST_HEIGHT_M)
+    height = height_above_ground_compiled(
+        np.ascontiguousarray(p_world), np.ascontiguousarray(static), CAR_SIZE_M[0], min_points
+    )
+    return height < LEAST_HEIGHT_M
 
 
 def _turns_observable(history: MotionHistory, index: IntArray, body: IntArray) -> BoolArray:
@@ -229,9 +232,10 @@ def _views_of(
         track_length=np.concatenate([past.n_frames[rows].astype(np.float64), none]),
         origin=se3.apply(T_now, centre),
     )
-    shift = se3.make(np.eye(3), views.origin)
-    T_world = se3.inverse(shift) @ T_now @ found.T_now_then @ se3.inverse(T_now) @ shift
-    return views, se3.log(T_world) / past.span_s[found.row][:, None]
+    twist = twists_about_compiled(
+        found.T_now_then, np.ascontiguousarray(T_now), views.origin, past.span_s[found.row]
+    )
+    return views, twist
 
 
 def _clones_of(history: StereoHistory, window: PoseWindow) -> IntArray:
@@ -317,8 +321,9 @@ def _without_parts(bodies: list[_Body], settings: ObjectSettings) -> tuple[Objec
 
 
 def _is_part(body: ObjectMeasurement, larger: ObjectMeasurement, settings: ObjectSettings) -> bool:
-    distance = np.linalg.norm(body.p_world[:, None] - larger.p_world[None], axis=-1).min()
     C = body.covariance + larger.covariance
+    if not same_body_velocity(body.velocity, larger.velocity, C[3:, 3:], 0.95):
+        return False
+    distance = least_distance_compiled(body.p_world, larger.p_world)
     reach = NEIGHBOUR_RADIUS_M + _REACH_SIGMAS * np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1])
-    same = same_body_velocity(body.velocity, larger.velocity, C[3:, 3:], 0.95)
-    return bool(distance < reach and same)
+    return bool(distance < reach)

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
+from ovmot.objects.bodies_kernel import velocity_distance_compiled
 from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import DRIVES_MPS, Track, TrackState
 from ovmot.objects.track_box import centre_distances
@@ -68,7 +70,7 @@ def _are_duplicates(track: Track, other: Track) -> bool:
     along, across = max(along - slack, 0.0), max(across - slack, 0.0)
     reach = 0.5 * (other.size + np.minimum(track.size, other.size))
     near = along < max(reach[0], 1.0) and across < max(0.7 * reach[1], 0.7)
-    driving = min(np.linalg.norm(track.velocity), np.linalg.norm(other.velocity)) > DRIVES_MPS
+    driving = min(hypot(*track.velocity), hypot(*other.velocity)) > DRIVES_MPS
     near |= (
         driving and along < CAR_SIZE_M[0] and across < 0.5 * CAR_SIZE_M[1]
     )  # two ends of a vehicle
@@ -89,10 +91,10 @@ def _slack(track: Track, other: Track) -> float:
 def _same_velocity(track: Track, other: Track) -> bool:
     """Are two velocities equal within their covariance, and within a walker's speed?"""
     dv = track.velocity - other.velocity
-    P = sum(t.filter.best.covariance[VELOCITY, VELOCITY] for t in (track, other))
-    C = P + _SPEED_SPREAD**2 * np.eye(3)
-    equal = dv @ np.linalg.solve(C, dv) < gate(3, 0.99)
-    return bool(equal and np.linalg.norm(dv) < _SAME_SPEED_MPS)
+    own, others = (t.filter.best.covariance[VELOCITY, VELOCITY] for t in (track, other))
+    P = own + others
+    distance = velocity_distance_compiled(dv, np.ascontiguousarray(P), _SPEED_SPREAD)
+    return distance < gate(3, 0.99) and hypot(*dv) < _SAME_SPEED_MPS
 
 
 def _is_far_end(track: Track, other: Track, along: float, across: float) -> bool:

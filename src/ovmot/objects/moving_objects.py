@@ -1,5 +1,6 @@
 """The objects' stage of a frame: from segmented points to tracks, and its part of the feedback."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +36,9 @@ class ObjectsResult:
     focus_uv: FloatArray
     focus_radius_px: FloatArray
 
-    def feedback(self, rig: StereoRig, pixel_sigma: float) -> Feedback:
-        """The feedback for later frames, with the calibration and the pixel noise of now."""
+    def feedback(self, rig: StereoRig, pixel_sigma: float, dynamic_id: IntArray) -> Feedback:
+        """The feedback for later frames, with the calibration, the pixel noise and the dynamic
+        features (D,) of now."""
         return Feedback(
             rig=rig,
             pixel_sigma=pixel_sigma,
@@ -45,6 +47,7 @@ class ObjectsResult:
             focus_uv=self.focus_uv,
             focus_radius_px=self.focus_radius_px,
             held_id=self.held_id,
+            dynamic_id=np.union1d(self.held_id, dynamic_id),
         )
 
 
@@ -104,11 +107,13 @@ def held_features(points: ScenePoints, max_share: float) -> IntArray:
     At most `max_share` of all points: the tracks with most points stay in the source's view, since
     one that has most of the image may be the street, taken for a body.
     """
-    has = (points.track_id >= 0) & (points.label != int(PointLabel.STATIC))
-    tracks, count = np.unique(points.track_id[has], return_counts=True)
-    smallest_first = np.argsort(count, kind="stable")
-    within = np.cumsum(count[smallest_first]) <= max_share * len(points.feature_id)
-    ids: IntArray = points.feature_id[
-        has & np.isin(points.track_id, tracks[smallest_first][within])
-    ]
-    return ids
+    has = np.flatnonzero((points.track_id >= 0) & (points.label != int(PointLabel.STATIC)))
+    owner, left = points.track_id[has], max_share * len(points.feature_id)
+    held = np.zeros(len(has), dtype=np.bool_)
+    count = Counter(owner.tolist())
+    for track_id in sorted(count, key=lambda k: (count[k], k)):  # smallest first
+        left -= count[track_id]
+        if left < 0.0:
+            break
+        held |= owner == track_id
+    return points.feature_id[has[held]]

@@ -13,6 +13,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.objects.bodies_kernel import view_weights_compiled, world_points_compiled
 from ovmot.objects.refinement_kernel import Refined, WeightedViews, refine_compiled
 from ovmot.physics import gate
 from ovmot.settings import ObjectSettings
@@ -89,14 +90,17 @@ def refine_bodies(
     point = np.column_stack([p_cam0[:, :2], np.ones(len(p_cam0))]) / p_cam0[:, 2:]
     found = refine_compiled(point, twist, weighted, huber[n_views], bound[n_views], prior)
     widen, variance_factor = _variance_factors(found, views.body, 4 * n_views - 3, n_bodies)
-    to_world, p_world = _world_points(found.point, views)
+    p_world, point_cov, by_twist = world_points_compiled(
+        found.point, np.ascontiguousarray(views.T_world_cam0[-1]), views.body, found.N_inverse,
+        found.K,
+    )  # fmt: skip
     return RefinedBodies(
         twist=found.twist,
         covariance=np.asarray(np.linalg.inv(found.information) * widen[:, None, None], np.float64),
         p_world=p_world,
         inlier=found.inlier,
-        point_cov=to_world @ found.N_inverse @ np.swapaxes(to_world, -1, -2),
-        by_twist=to_world @ -np.swapaxes(found.K, -1, -2),
+        point_cov=point_cov,
+        by_twist=by_twist,
         variance_factor=variance_factor,
     )
 
@@ -133,16 +137,16 @@ def weighted_views(
     """
     f0, f1 = rig.cam0.intrinsics, rig.cam1.intrinsics
     focal = np.array([f0[0], f0[1], f1[0], f1[1]])
-    valid = np.asarray(np.isfinite(views.seen).all(-1), np.bool_)
-    flow = np.linalg.norm((views.seen - views.seen[-1])[..., :2] * focal[:2], axis=-1)
-    drift = views.track_length[:, views.body] * noise.drift_per_frame_px**2
-    drift = drift + (noise.drift_per_flow * np.nan_to_num(flow)) ** 2
-    half = np.sqrt(0.5)
+    seen = np.ascontiguousarray(views.seen)
+    by_difference, by_sum, valid = view_weights_compiled(
+        seen, views.body, views.track_length, focal, noise.sigma_px, noise.drift_per_frame_px,
+        noise.drift_per_flow,
+    )  # fmt: skip
     into_view, out_of_now = views.about_origin
     weighted = WeightedViews(
-        seen=np.ascontiguousarray(views.seen),
-        by_difference=np.where(valid, half / noise.sigma_px, 0.0),
-        by_sum=np.where(valid, half / np.sqrt(noise.sigma_px**2 + 2.0 * drift), 0.0),
+        seen=seen,
+        by_difference=by_difference,
+        by_sum=by_sum,
         body=views.body,
         span_s=np.ascontiguousarray(views.span_s),
         into_view=into_view,
@@ -151,14 +155,3 @@ def weighted_views(
         focal=focal,
     )
     return weighted, valid
-
-
-def _world_points(point: FloatArray, views: BodyViews) -> tuple[FloatArray, FloatArray]:
-    """Derivative (M, 3, 3) of world points by (x, y, 1/z) of the present camera, and the points."""
-    T = views.T_world_cam0[-1][views.body]
-    z = 1.0 / point[:, 2]
-    ray = np.column_stack([point[:, :2], np.ones(len(point))])
-    J = np.zeros((len(point), 3, 3))
-    J[:, 0, 0] = J[:, 1, 1] = z
-    J[:, :, 2] = -ray * z[:, None] ** 2
-    return T[:, :3, :3] @ J, se3.apply(T, ray * z[:, None])

@@ -8,6 +8,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained, union, without
+from ovmot.kernels.table_kernel import columns_of_compiled
 from ovmot.objects.association import associate
 from ovmot.objects.feature_motions import FeatureHistory, FeatureMotions, moving_with
 from ovmot.objects.measurement import ObjectMeasurement
@@ -164,11 +165,11 @@ def _with_current_features(tracks: Sequence[Track], motions: FeatureMotions) -> 
     joined = [_with_joining(t, motions, held, at) for t, at in zip(tracks, in_boxes, strict=True)]
     out, taken, in_view = [], np.empty(0, dtype=np.int64), np.sort(motions.feature_id)
     for track in joined:
-        kept = contained(track.feature_id, in_view) & ~contained(track.feature_id, taken)
-        coasts = track.state == TrackState.COASTING
-        ids = track.feature_id if coasts else track.feature_id[kept]
+        ids = track.feature_id
+        if track.state != TrackState.COASTING:
+            ids = ids[contained(ids, in_view) & ~contained(ids, taken)]
         taken = union(taken, ids)
-        out.append(replace(track, feature_id=ids))
+        out.append(track if len(ids) == len(track.feature_id) else replace(track, feature_id=ids))
     return out
 
 
@@ -192,8 +193,10 @@ def _with_joining(
 
 def _track_ids(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
     """The track that holds each feature (N,), by id; -1 for none. Coasting tracks hold none."""
-    track_id = np.full(len(feature_id), -1, dtype=np.int64)
-    for track in tracks:
-        if track.state != TrackState.COASTING:
-            track_id[contained(feature_id, track.feature_id)] = track.track_id
-    return track_id
+    holding = [t for t in reversed(tracks) if t.state != TrackState.COASTING]
+    if not holding:
+        return np.full(len(feature_id), -1, dtype=np.int64)
+    held = np.concatenate([t.feature_id for t in holding])
+    owner = np.repeat([t.track_id for t in holding], [len(t.feature_id) for t in holding])
+    at = columns_of_compiled(feature_id, held)  # the first of equal ids, so that of the last track
+    return np.where(at >= 0, np.append(owner, -1)[at], -1)

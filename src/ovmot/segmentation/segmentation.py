@@ -4,13 +4,13 @@ Points are judged by the predicted ego motion, before the filter's update, so th
 can correct the pose by which it is judged.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, StereoHistory
-from ovmot.geometry.arrays import BoolArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.physics import WALKER_MPS
 from ovmot.segmentation.motion_tests import MOTION_TESTS, Verdict, gather_evidence
 from ovmot.settings import SegmentationSettings
@@ -54,13 +54,19 @@ def segment_points(
         verdict = _only_rejected(verdict, seen.two_view_inlier)
     near = evidence.p_cam0[:, 2] < settings.max_range_m
     previous = table.pixels[history.row[-1], table.columns(history.feature_id), :2]
-    points = replace(
-        points,
+    previous[~near] = np.nan
+    points = ScenePoints(
+        feature_id=points.feature_id,
+        pixels=points.pixels,
+        p_cam0=points.p_cam0,
+        cov_cam0=points.cov_cam0,
         label=_labels(verdict),
-        previous=np.where(near[:, None], previous, np.nan),
+        track_id=points.track_id,
+        previous=previous,
         predicted=rig.cam0.project(evidence.predicted),
         distance_m=evidence.distance_m,
         reprojection_px=evidence.reprojection_px,
+        two_view_inlier=points.two_view_inlier,
     )
     off = verdict.moving | verdict.unclear
     outlier = np.where(verdict.tested, off, ~seen.two_view_inlier)
@@ -75,8 +81,20 @@ def prediction_is_sure(window: PoseWindow) -> bool:
     before, now = slice(-9, -6), slice(-3, None)  # positions of the two newest poses
     P = window.covariance
     relative = P[now, now] + P[before, before] - P[now, before] - P[before, now]
-    sigma_m = np.sqrt(max(float(np.linalg.eigvalsh(relative)[-1]), 0.0))
-    return bool(sigma_m < 0.5 * WALKER_MPS * span_s)
+    bound_m = 0.5 * WALKER_MPS * span_s
+    return is_below(relative, bound_m**2)
+
+
+def is_below(C: FloatArray, bound: float) -> bool:
+    """Are all eigenvalues of a symmetric matrix (3, 3) below a bound?
+
+    By the leading minors of the difference (Sylvester's criterion).
+    """
+    (a, b, c), (_, d, e), (_, _, f) = (bound * np.eye(3) - C).tolist()
+    minor = a * d - b * b
+    return bool(
+        a > 0.0 and minor > 0.0 and f * minor + b * c * e * 2.0 - a * e * e - d * c * c > 0.0
+    )
 
 
 def _labels(verdict: Verdict) -> IntArray:

@@ -11,6 +11,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import LOOK_BACK_TOLERANCE, FeatureTable, StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.id_sets import contained
 from ovmot.segmentation.history_kernel import triangulate_pairs_compiled
 from ovmot.types import PixelNoise
 
@@ -32,7 +33,7 @@ def stereo_history(
     column = table.columns(feature_id)
     age_ns = table.frame_ns[-1] - table.frame_ns[row]
     return history_of(
-        table.normalized[row].take(column, axis=1), table.normalized[-1, column], feature_id,
+        table.normalized[row[:, None], column], table.normalized[-1, column], feature_id,
         row, table.clone_ns[row], age_ns * 1e-9, len(table.frame_ns) - 1 - row, rig, noise,
     )  # fmt: skip
 
@@ -62,13 +63,16 @@ def look_back_rows(
     table: FeatureTable, window_ns: IntArray, look_back_s: tuple[float, ...]
 ) -> IntArray:
     """Earlier rows (L,) with a known pose, oldest first: near each look-back time, and the last."""
-    posed = np.isin(table.clone_ns, window_ns)
+    posed = contained(table.clone_ns, np.sort(window_ns))
     posed[-1] = False
     rows = np.flatnonzero(posed)
     if len(rows) == 0:
         return rows
     age_ns = table.frame_ns[-1] - table.frame_ns[rows]
-    wanted_ns = np.round(1e9 * np.array(look_back_s)).astype(np.int64)
-    apart = np.abs(age_ns[None] - wanted_ns[:, None])  # integers: rounding decides no tie
-    near = apart.min(1) < LOOK_BACK_TOLERANCE * wanted_ns
-    return np.unique(np.append(rows[apart.argmin(1)[near]], rows[-1]))
+    chosen = {int(rows[-1])}
+    for wanted_ns in [round(1e9 * seconds) for seconds in look_back_s]:
+        apart = np.abs(age_ns - wanted_ns)  # integers: rounding decides no tie
+        nearest = int(apart.argmin())
+        if apart[nearest] < LOOK_BACK_TOLERANCE * wanted_ns:
+            chosen.add(int(rows[nearest]))
+    return np.array(sorted(chosen), dtype=np.int64)

@@ -177,7 +177,7 @@ class MsckfFilter:
         """How far the filter can be trusted at a frame, by its last update and its covariance."""
         limits = self.settings.health
         since_update_s = 0.0 if self.updated_ns is None else 1e-9 * (frame_ns - self.updated_ns)
-        sigma = np.sqrt(np.diag(self.state.covariance)[VELOCITY].max())
+        sigma = np.sqrt(self.state.covariance.diagonal()[VELOCITY].max())
         if since_update_s > limits.lost_after_s or sigma > limits.lost_velocity_sigma_mps:
             return Health.LOST
         return Health.DEGRADED if since_update_s > limits.degraded_after_s else Health.TRACKING

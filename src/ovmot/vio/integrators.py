@@ -7,8 +7,11 @@ once.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.vio.imu_kernel import rk4_increments_compiled
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,26 +40,15 @@ def integrate_discrete(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> I
 
 
 def integrate_rk4(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> Increments:
-    """Runge-Kutta of 4th order with rates linear over each pair; arguments as above."""
-    h = dt[:, None]
-    w0, w1, a0, a1 = gyro[:-1], gyro[1:], accel[:-1], accel[1:]
-    wm, am = 0.5 * (w0 + w1), 0.5 * (a0 + a1)
+    """Runge-Kutta of 4th order with rates linear over each pair; arguments as above.
 
-    # The rotation vector's rate is J_r^-1(φ) ω: one RK4 step on φ from zero.
-    def rate(phi: FloatArray, w: FloatArray) -> FloatArray:
-        return (so3.right_jacobian_inverse(phi) @ w[..., None])[..., 0]
-
-    k1 = w0
-    k2 = rate(0.5 * h * k1, wm)
-    k3 = rate(0.5 * h * k2, wm)
-    k4 = rate(h * k3, w1)
-    phi = h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    R_mid, R_end = so3.exp(0.5 * h * k2), so3.exp(phi)
-    # v' = R a and p' = v: with a(t) known, RK4 is Simpson's rule.
-    f0, fm, f1 = a0, (R_mid @ am[..., None])[..., 0], (R_end @ a1[..., None])[..., 0]
-    return Increments(
-        R_end, h / 6.0 * (f0 + 4.0 * fm + f1), h**2 / 6.0 * (f0 + 2.0 * fm), dt
-    )  # fmt: skip
+    The rotation vector's rate is J_r⁻¹(φ) ω: one step on φ from zero. v' = R a and p' = v: with
+    a(t) known, Runge-Kutta is Simpson's rule.
+    """
+    increments = rk4_increments_compiled(
+        np.ascontiguousarray(gyro), np.ascontiguousarray(accel), dt
+    )
+    return Increments(*increments, dt)
 
 
 def integrate_analytic(gyro: FloatArray, accel: FloatArray, dt: FloatArray) -> Increments:

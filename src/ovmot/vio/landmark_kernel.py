@@ -14,7 +14,6 @@ from ovmot.vio.reprojection_kernel import feature_rows
 from ovmot.vio.update_kernel import (
     factor_with_rows,
     give_weights,
-    innovation,
     nearest_first,
     update_if_consistent,
 )
@@ -101,6 +100,27 @@ def landmark_rows(
 
 
 @reordered_part
+def _sparse_innovation(
+    P: FloatArray, H: FloatArray, first: int, HP: FloatArray, S: FloatArray
+) -> None:
+    """`update_kernel.innovation` for H (m, k) of few elements a row; HP (m, N) is zero before."""
+    m, n = H.shape
+    column, count = np.empty((m, n), np.int64), np.zeros(m, np.int64)
+    for i in range(m):
+        for k in range(n):
+            if H[i, k] != 0.0:
+                column[i, count[i]] = k
+                count[i] += 1
+                for j in range(len(P)):
+                    HP[i, j] += H[i, k] * P[first + k, j]
+        for j in range(i + 1):
+            total = 1.0 if i == j else 0.0
+            for c in range(count[j]):
+                total += HP[i, first + column[j, c]] * H[j, column[j, c]]
+            S[i, j] = S[j, i] = total
+
+
+@reordered_part
 def _distances(S: FloatArray, residual: FloatArray) -> FloatArray:
     """Squared Mahalanobis distance (L,) of each landmark's innovation: rᵀ (H P Hᵀ + I)⁻¹ r.
 
@@ -137,8 +157,8 @@ def update_by_landmarks(
     covariance (N, N) after the update.
     """
     n_landmarks, m, n = H.shape
-    HP, S = np.empty((n_landmarks * m, len(P))), np.empty((n_landmarks * m, n_landmarks * m))
-    innovation(P, H.reshape((n_landmarks * m, n)), first, HP, S)
+    HP, S = np.zeros((n_landmarks * m, len(P))), np.empty((n_landmarks * m, n_landmarks * m))
+    _sparse_innovation(P, H.reshape((n_landmarks * m, n)), first, HP, S)
     passed, ratio = np.zeros(n_landmarks, dtype=np.bool_), np.full(n_landmarks, np.inf)
     distance, order = _distances(S, residual), np.empty(n_landmarks, dtype=np.int64)
     for f in range(n_landmarks):
@@ -149,7 +169,7 @@ def update_by_landmarks(
     kept = candidates
     while kept >= max(min(_LEAST, candidates), 1):
         give_weights(ratio, order, kept, weight)
-        rows, T, r = _weighted(HP, S, residual, weight, kept * m)
+        rows, T, r = _weighted(HP, S, residual, weight, dof)
         if update_if_consistent(P, rows, T, r, velocity_bound, error, updated):
             return passed, weight, error, updated
         kept //= 2
@@ -159,17 +179,20 @@ def update_by_landmarks(
 
 @reordered_part
 def _weighted(
-    HP: FloatArray, S: FloatArray, residual: FloatArray, weight: FloatArray, count: int
+    HP: FloatArray, S: FloatArray, residual: FloatArray, weight: FloatArray, dof: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """H P, innovation covariance and residual of the `count` rows that have a weight, scaled."""
+    """H P, innovation covariance and residual of the rows that have a weight, scaled.
+
+    Of a landmark the first `dof` rows are those that are not zero.
+    """
     n_landmarks, m = residual.shape
-    scale, row = np.empty(count), np.empty(count, dtype=np.int64)
-    at = 0
+    scale, row = np.empty(n_landmarks * m), np.empty(n_landmarks * m, dtype=np.int64)
+    count = 0
     for f in range(n_landmarks):
         if weight[f] > 0.0:
-            for i in range(m):
-                scale[at], row[at] = weight[f], f * m + i
-                at += 1
+            for i in range(dof[f]):
+                scale[count], row[count] = weight[f], f * m + i
+                count += 1
     rows, T = np.empty((count, HP.shape[1])), np.empty((count + _LEAST + 1, count))
     r = np.empty(count)
     for i in range(count):

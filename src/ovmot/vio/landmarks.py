@@ -6,20 +6,28 @@ The inverse-depth forms are those of J. Montiel et al. (RSS 2006) and of A. Mour
 S. Roumeliotis (ICRA 2007).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.vio.landmark_point_kernel import EUCLIDEAN, NORMALIZED, SPHERICAL
 
 NO_ANCHOR = -1
+_WORLD_AXES = np.eye(3)
+_CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 class Coordinates(Protocol):
-    """A parametrization of points by three numbers, of which the last `size` are estimated."""
+    """A parametrization of points by three numbers, of which the last `size` are estimated.
+
+    `form`: its code in `landmark_point_kernel`, with its `axes` (3, 3) there.
+    """
 
     size: int
+    form: int
+    axes: FloatArray
 
     def from_point(self, point: FloatArray) -> FloatArray:
         """Values (..., 3) of points (..., 3), metres, in the frame of the representation."""
@@ -37,7 +45,7 @@ class Coordinates(Protocol):
 class Euclidean:
     """x, y, z."""
 
-    size = 3
+    size, form, axes = 3, EUCLIDEAN, _WORLD_AXES
 
     def from_point(self, point: FloatArray) -> FloatArray:
         return point.copy()
@@ -56,19 +64,19 @@ class SphericalInverseDepth:
     up. Straight up θ is not defined.
     """
 
-    size = 3
+    size, form = 3, SPHERICAL
 
     def __init__(self, R: FloatArray) -> None:
-        self._R = R
+        self.axes = R
 
     def from_point(self, point: FloatArray) -> FloatArray:
-        ray = point @ self._R
+        ray = point @ self.axes
         distance = np.linalg.norm(ray, axis=-1)
         azimuth = np.arctan2(ray[..., 1], ray[..., 0])
         return np.stack([azimuth, np.arcsin(ray[..., 2] / distance), 1.0 / distance], axis=-1)
 
     def to_point(self, value: FloatArray) -> FloatArray:
-        return np.asarray(self._ray(value) @ self._R.T / value[..., 2:])
+        return np.asarray(self._ray(value) @ self.axes.T / value[..., 2:])
 
     def jacobian(self, value: FloatArray) -> FloatArray:
         theta, phi, rho = value[..., 0], value[..., 1], value[..., 2:]
@@ -78,7 +86,7 @@ class SphericalInverseDepth:
             [-np.sin(phi) * np.cos(theta), -np.sin(phi) * np.sin(theta), np.cos(phi)], axis=-1
         )
         columns = [by_theta / rho, by_phi / rho, -self._ray(value) / rho**2]
-        return np.asarray(self._R @ np.stack(columns, axis=-1))
+        return np.asarray(self.axes @ np.stack(columns, axis=-1))
 
     def _ray(self, value: FloatArray) -> FloatArray:
         theta, phi = value[..., 0], value[..., 1]
@@ -88,7 +96,7 @@ class SphericalInverseDepth:
 class NormalizedInverseDepth:
     """Normalized coordinates and inverse depth (x/z, y/z, 1/z): p = (α, β, 1) / ρ."""
 
-    size = 3
+    size, form, axes = 3, NORMALIZED, _WORLD_AXES
 
     def from_point(self, point: FloatArray) -> FloatArray:
         return np.concatenate([point[..., :2], np.ones_like(point[..., 2:])], -1) / point[..., 2:]
@@ -119,9 +127,6 @@ class Representation:
     coordinates: Coordinates
     anchored: bool
 
-
-_WORLD_AXES = np.eye(3)
-_CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 REPRESENTATIONS: dict[str, Representation] = {
     "global_xyz": Representation(Euclidean(), anchored=False),
@@ -164,7 +169,10 @@ class Landmarks:
             return self
         value = self.value.copy()
         value[:, 3 - self.size :] += error.reshape(len(self), self.size)
-        return replace(self, value=value)
+        return Landmarks(
+            self.representation, self.feature_id, value, self.first, self.anchor_ns,
+            self.rejections,
+        )  # fmt: skip
 
     def minus(self, reference: "Landmarks") -> FloatArray:
         """The error vector (L * size,) from the reference to these."""
@@ -172,24 +180,20 @@ class Landmarks:
 
     def rows(self, kept: BoolArray | IntArray) -> "Landmarks":
         """The landmarks `kept` (L,), or of indices `kept` (K,)."""
-        return replace(
-            self,
-            feature_id=self.feature_id[kept],
-            value=self.value[kept],
-            first=self.first[kept],
-            anchor_ns=self.anchor_ns[kept],
-            rejections=self.rejections[kept],
-        )
+        return Landmarks(
+            self.representation, self.feature_id[kept], self.value[kept], self.first[kept],
+            self.anchor_ns[kept], self.rejections[kept],
+        )  # fmt: skip
 
     def append(self, others: "Landmarks") -> "Landmarks":
         """These landmarks, and `others` after them."""
-        return replace(
-            self,
-            feature_id=np.concatenate([self.feature_id, others.feature_id]),
-            value=np.concatenate([self.value, others.value]),
-            first=np.concatenate([self.first, others.first]),
-            anchor_ns=np.concatenate([self.anchor_ns, others.anchor_ns]),
-            rejections=np.concatenate([self.rejections, others.rejections]),
+        return Landmarks(
+            self.representation,
+            np.concatenate([self.feature_id, others.feature_id]),
+            np.concatenate([self.value, others.value]),
+            np.concatenate([self.first, others.first]),
+            np.concatenate([self.anchor_ns, others.anchor_ns]),
+            np.concatenate([self.rejections, others.rejections]),
         )
 
 

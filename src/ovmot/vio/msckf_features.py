@@ -50,18 +50,17 @@ class Reprojection:
 
 @dataclass(frozen=True, slots=True)
 class PointRows:
-    """The rows that determine F points: R δp + H x = residual, with white noise of variance 1.
+    """The rows that determine F points: R δp + E (x, -1) = noise of variance 1, white.
 
-    `R` (F, 3, 3), upper triangular, `H` (F, 3, C + 6K), `residual` (F, 3).
+    `R` (F, 3, 3), upper triangular, `E` (F, 3, C + 6K + 1).
     """
 
     R: FloatArray
-    H: FloatArray
-    residual: FloatArray
+    E: FloatArray
 
     def rows(self, kept: BoolArray) -> "PointRows":
         """Those of the points `kept` (F,)."""
-        return PointRows(self.R[kept], self.H[kept], self.residual[kept])
+        return PointRows(self.R[kept], self.E[kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +165,7 @@ def consistent_features(
         se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
         settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
     )  # fmt: skip
-    return ConsistentFeatures(weight, error, covariance, PointRows(R, E[..., :-1], E[..., -1]))
+    return ConsistentFeatures(weight, error, covariance, PointRows(R, E))
 
 
 def calibration_jacobian(

@@ -174,7 +174,8 @@ def imu_sensitivity(
     by_rate = np.zeros((n, 3, 6 + len(calibration)))
     by_force = np.zeros_like(by_rate)
     if intrinsics is None:
-        by_rate[:, :, :3] = by_force[:, :, 3:6] = -np.eye(3)
+        for k in range(3):
+            by_rate[:, k, k] = by_force[:, k, 3 + k] = -1.0
         return by_rate, by_force
     W, A, S = intrinsics.gyro_matrix, intrinsics.accel_matrix, intrinsics.g_sensitivity
     unbiased = accel - bias[1]

@@ -4,7 +4,7 @@ Each pair of consecutive samples is integrated in the body frame at its start (`
 pairs at once, and the increments are chained. Gravity is (0, 0, -g) in world.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def propagate_imu(
         increments.position, dt, _means(gyro), _means(accel), by_rate, by_force,
         _white_noise(noise, in_gap, len(dt)), np.array([noise.gyro_walk, noise.accel_walk]) ** 2,
     )  # fmt: skip
-    end = replace(imu, R_world_imu=T[:3, :3].copy(), velocity=velocity, position=T[:3, 3].copy())
+    end = ImuState(T[:3, :3].copy(), T[:3, 3].copy(), velocity, imu.gyro_bias, imu.accel_bias)
     g = np.array([0.0, 0.0, -gravity])
     transition = _with_first_estimates(transition, imu_first, end, float(dt.sum()), g)
     return Propagation(end, transition, covariance, gyro[-1])
@@ -107,13 +107,11 @@ def predicted_poses(
 
 def propagate(state: State, result: Propagation, timestamp_ns: int) -> State:
     """The state propagated to `timestamp_ns`; clones stay, their correlation goes through Φ."""
-    return replace(
-        state,
-        timestamp_ns=timestamp_ns,
-        imu=result.imu,
-        imu_first=result.imu,
-        covariance=propagate_covariance_compiled(state.covariance, result.transition, result.noise),
-    )
+    covariance = propagate_covariance_compiled(state.covariance, result.transition, result.noise)
+    return State(
+        timestamp_ns, result.imu, result.imu, state.time_offset_s, state.clones, covariance,
+        state.calibration, state.landmarks,
+    )  # fmt: skip
 
 
 def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> State:
@@ -129,11 +127,14 @@ def clone_pose(state: State, frame_ns: int, angular_velocity: FloatArray) -> Sta
     )
     T = pose_matrix(state.imu)
     clones = Clones(
-        np.append(state.clones.timestamp_ns, frame_ns),
+        np.concatenate([state.clones.timestamp_ns, [frame_ns]]),
         np.concatenate([state.clones.T_world_imu, T[None]]),
         np.concatenate([state.clones.T_world_imu_first, T[None]]),
     )
-    return replace(state, clones=clones, covariance=covariance)
+    return State(
+        state.timestamp_ns, state.imu, state.imu_first, state.time_offset_s, clones, covariance,
+        state.calibration, state.landmarks,
+    )  # fmt: skip
 
 
 def _means(values: FloatArray) -> FloatArray:
@@ -146,8 +147,9 @@ def _white_noise(noise: ImuNoise, in_gap: BoolArray | None, n: int) -> FloatArra
 
     Where samples are missing, the motion is only known to be a vehicle's.
     """
-    out = np.tile([noise.gyro**2, noise.accel**2], (n, 1))
-    if in_gap is not None:
+    out = np.empty((n, 2))
+    out[:, 0], out[:, 1] = noise.gyro**2, noise.accel**2
+    if in_gap is not None and in_gap.any():
         out[in_gap] = _vehicle_noise(YAW_RATE_SIGMA_RPS) ** 2, _vehicle_noise(ACCEL_SIGMA_MPS2) ** 2
     return out
 

@@ -5,20 +5,25 @@ the rows that determine the landmark give its value and covariance; the other ro
 as those of an MSCKF feature do.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ovmot.cameras.lens_kernel import packed_cameras
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3, so3
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.physics import gates
 from ovmot.vio.innovation_consistency import VELOCITY_BOUND
 from ovmot.vio.landmark_kernel import landmark_rows_compiled, update_by_landmarks_compiled
+from ovmot.vio.landmark_point_kernel import (
+    change_anchors_compiled,
+    initialize_landmarks_compiled,
+    place_landmarks_compiled,
+)
 from ovmot.vio.landmarks import NO_ANCHOR, Landmarks
 from ovmot.vio.msckf_features import PointRows, calibration_jacobians
-from ovmot.vio.state import CLONE_SIZE, N_BASE, Clones, State
+from ovmot.vio.state import N_BASE, Clones, State, with_landmarks
 from ovmot.vio.update import moved
 
 
@@ -44,18 +49,14 @@ def landmark_points(
     """
     value = landmarks.first if first else landmarks.value
     coordinates = landmarks.representation.coordinates
-    p, J = coordinates.to_point(value), coordinates.jacobian(value)
-    by_anchor = np.zeros((len(p), 3, CLONE_SIZE))
-    if not landmarks.representation.anchored or not len(p):
-        return LandmarkPoints(p, J, by_anchor, np.full(len(p), NO_ANCHOR))
-    anchor = np.searchsorted(clones.timestamp_ns, landmarks.anchor_ns)
-    T = (clones.T_world_imu_first if first else clones.T_world_imu)[anchor]
-    p_imu = se3.apply(T_imu_anchor, p)
-    R = T[:, :3, :3]
-    by_anchor[..., :3] = -R @ so3.hat(p_imu)
-    by_anchor[..., 3:] = np.eye(3)
-    p_world = (R @ p_imu[..., None])[..., 0] + T[:, :3, 3]
-    return LandmarkPoints(p_world, R @ T_imu_anchor[:3, :3] @ J, by_anchor, anchor)
+    anchor = landmarks.anchor_ns
+    if landmarks.representation.anchored:
+        anchor = np.searchsorted(clones.timestamp_ns, anchor)
+    poses = clones.T_world_imu_first if first else clones.T_world_imu
+    points = place_landmarks_compiled(
+        coordinates.form, coordinates.axes, value, anchor, poses, T_imu_anchor
+    )
+    return LandmarkPoints(*points, anchor)
 
 
 def landmark_system(
@@ -101,7 +102,12 @@ def update_slam_features(
     )
     rejections = state.landmarks.rejections + ((dof > 0) & ~passed)
     rejections[passed] = 0
-    state = replace(state, landmarks=replace(state.landmarks, rejections=rejections))
+    known = state.landmarks
+    counted = Landmarks(
+        known.representation, known.feature_id, known.value, known.first, known.anchor_ns,
+        rejections,
+    )  # fmt: skip
+    state = with_landmarks(state, counted, state.covariance)
     return moved(state, error, covariance) if weight.any() else state
 
 
@@ -126,24 +132,20 @@ def delayed_initialization(
     rows, feature_id, p_world = rows.rows(determined), feature_id[determined], p_world[determined]
     if not len(feature_id):
         return state
-    new = _new_landmarks(state, feature_id, p_world, T_imu_anchor)
-    A, B, residual = _rows_of_values(state, new, rows, T_imu_anchor)
-    A_inverse = np.linalg.inv(A)
-    n, size = len(new), new.size
-    G = (-A_inverse @ B).reshape(n * size, -1)
-    columns = slice(state.first_clone - len(state.calibration), state.first_landmark)
-    P = state.covariance
-    cross = G @ P[columns]
-    own = cross[:, columns] @ G.T
-    k = np.arange(n)
-    blocks = own.reshape(n, size, n, size)  # a view
-    blocks[k, :, k] += A_inverse @ np.swapaxes(A_inverse, -1, -2)
-    new = new.plus((A_inverse @ residual[..., None]).ravel() + G @ error[columns])
-    at = len(P)
-    covariance = np.empty((at + n * size, at + n * size))
-    covariance[:at, :at], covariance[at:, at:] = P, 0.5 * (own + own.T)
-    covariance[at:, :at], covariance[:at, at:] = cross, cross.T
-    return replace(state, landmarks=state.landmarks.append(new), covariance=covariance)
+    landmarks, clones, n = state.landmarks, state.clones, len(feature_id)
+    representation, newest = landmarks.representation, len(clones) - 1
+    coordinates = representation.coordinates
+    value, first, covariance = initialize_landmarks_compiled(
+        coordinates.form, coordinates.axes, landmarks.size, p_world, rows.R, rows.E,
+        newest if representation.anchored else NO_ANCHOR,
+        (clones.T_world_imu, clones.T_world_imu_first), T_imu_anchor, state.covariance,
+        (N_BASE, len(state.calibration)), error,
+    )  # fmt: skip
+    anchor_ns = np.full(n, clones.timestamp_ns[-1] if representation.anchored else NO_ANCHOR)
+    new = Landmarks(
+        representation, feature_id, value, first, anchor_ns, np.zeros(n, dtype=np.int64)
+    )
+    return with_landmarks(state, landmarks.append(new), covariance)
 
 
 def change_anchor(state: State, old_ns: int, new_ns: int, T_imu_anchor: FloatArray) -> State:
@@ -156,127 +158,17 @@ def change_anchor(state: State, old_ns: int, new_ns: int, T_imu_anchor: FloatArr
     index = np.flatnonzero(landmarks.anchor_ns == old_ns)
     if not landmarks.representation.anchored or not len(index):
         return state
-    old = landmarks.rows(index)
-    latest = landmark_points(old, clones, T_imu_anchor, first=False)
-    before = landmark_points(old, clones, T_imu_anchor, first=True)
-    new = replace(old, anchor_ns=np.full(len(index), new_ns))
-    new = replace(
-        new,
-        value=_values(latest.p_world, new, clones.T_world_imu, clones, T_imu_anchor),
-        first=_values(before.p_world, new, clones.T_world_imu_first, clones, T_imu_anchor),
-    )
-    after = landmark_points(new, clones, T_imu_anchor, first=True)
-    by_state = _anchor_change_jacobian(state, index, before, after)
-    size = landmarks.size
-    rows = state.first_landmark + (size * index[:, None] + np.arange(size)).ravel()
-    covariance = state.covariance.copy()
-    cross = by_state @ covariance
-    covariance[rows], covariance[:, rows] = cross, cross.T
-    covariance[np.ix_(rows, rows)] = cross @ by_state.T
-    anchor_ns = landmarks.anchor_ns.copy()
-    value, first = landmarks.value.copy(), landmarks.first.copy()
-    anchor_ns[index], value[index], first[index] = new.anchor_ns, new.value, new.first
-    return replace(
-        state,
-        landmarks=replace(landmarks, anchor_ns=anchor_ns, value=value, first=first),
-        covariance=covariance,
-    )
-
-
-def _anchor_change_jacobian(
-    state: State, index: IntArray, before: LandmarkPoints, after: LandmarkPoints
-) -> FloatArray:
-    """Jacobian (M * size, N) of the new values of landmarks `index` (M,) by the error state."""
-    to_value = np.linalg.inv(after.by_value)
-    size = state.landmarks.size
-    J = np.zeros((len(index), size, len(state.covariance)))
-    for k, landmark in enumerate(index):
-        start = state.first_landmark + size * landmark
-        by_point = to_value[k][3 - size :]
-        J[k, :, start : start + size] = by_point @ before.by_value[k][:, 3 - size :]
-        J[k, :, state.clone_columns(int(before.anchor[k]))] += by_point @ before.by_anchor[k]
-        J[k, :, state.clone_columns(int(after.anchor[k]))] -= by_point @ after.by_anchor[k]
-    return J.reshape(len(index) * size, -1)
-
-
-def _new_landmarks(
-    state: State, feature_id: IntArray, p_world: FloatArray, T_imu_anchor: FloatArray
-) -> Landmarks:
-    """Landmarks at world points (L, 3), relative to the newest clone where they have an anchor.
-
-    Latest and first estimates are at the same point, where it was linearized.
-    """
-    n, clones = len(feature_id), state.clones
-    anchored = state.landmarks.representation.anchored
-    anchor_ns = np.full(n, clones.timestamp_ns[-1] if anchored else NO_ANCHOR)
-    new = replace(
-        state.landmarks, feature_id=feature_id, value=np.zeros((n, 3)), first=np.zeros((n, 3)),
-        anchor_ns=anchor_ns, rejections=np.zeros(n, dtype=np.int64),
-    )  # fmt: skip
-    return replace(
-        new,
-        value=_values(p_world, new, clones.T_world_imu, clones, T_imu_anchor),
-        first=_values(p_world, new, clones.T_world_imu_first, clones, T_imu_anchor),
-    )
-
-
-def _rows_of_values(
-    state: State, new: Landmarks, rows: PointRows, T_imu_anchor: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A (L, s, s), B (L, s, C + 6K) and residual (L, s) of A v + B x = r, from rows in points."""
-    point = landmark_points(new, state.clones, T_imu_anchor, first=True)
-    B = rows.H.copy()
-    _add_anchor(B, rows.R @ point.by_anchor, point.anchor, len(state.calibration))
-    by_value, size = rows.R @ point.by_value, new.size
-    estimated = np.concatenate([by_value[..., 3 - size :], B], axis=2)
-    n_rows = np.full(len(new), 3)
-    H, residual, _ = _project_out(by_value[..., : 3 - size], estimated, rows.residual, n_rows)
-    return H[..., :size], H[..., size:], residual
-
-
-def _values(
-    p_world: FloatArray, landmarks: Landmarks, poses: FloatArray, clones: Clones,
-    T_imu_anchor: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """Values (L, 3) in the landmarks' representation of world points (L, 3), by poses (K, 4, 4)."""
     coordinates = landmarks.representation.coordinates
-    if not landmarks.representation.anchored:
-        return coordinates.from_point(p_world)
-    anchor = np.searchsorted(clones.timestamp_ns, landmarks.anchor_ns)
-    T = se3.inverse(poses[anchor] @ T_imu_anchor)
-    return coordinates.from_point((T[:, :3, :3] @ p_world[..., None])[..., 0] + T[:, :3, 3])
-
-
-def _add_anchor(H: FloatArray, by_anchor: FloatArray, anchor: IntArray, offset: int) -> None:
-    """Add Jacobians (L, m, 6) by the anchors' poses to H (L, m, n), in place."""
-    for k in np.flatnonzero(anchor >= 0):
-        start = offset + CLONE_SIZE * int(anchor[k])
-        H[k, :, start : start + CLONE_SIZE] += by_anchor[k]
-
-
-def _project_out(
-    bearing: FloatArray, H: FloatArray, residual: FloatArray, n_rows: IntArray
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """H, residual and degrees of freedom without the bearing, whose Jacobian is (L, m, b)."""
-    b = bearing.shape[2]
-    if b == 0:
-        return H, residual, n_rows
-    A = triangularize(np.concatenate([bearing, H, residual[..., None]], axis=2), b)
-    return A[:, b:, b:-1], A[:, b:, -1], np.maximum(n_rows - b, 0)
-
-
-def triangularize(A: FloatArray, n_columns: int) -> FloatArray:
-    """Matrices A (F, M, N) with the first `n_columns` columns zero below the diagonal.
-
-    By Householder reflections (G. Golub & C. Van Loan, sec. 5.2): white noise stays white.
-    """
-    A = A.copy()
-    for j in range(n_columns):
-        x = A[:, j:, j]
-        v = x.copy()
-        sign = np.where(x[:, 0] < 0.0, -1.0, 1.0)
-        v[:, 0] += sign * np.linalg.norm(x, axis=1)
-        length = (v * v).sum(1)
-        v *= np.sqrt(2.0 / np.where(length > 0.0, length, 1.0))[:, None]
-        A[:, j:] -= v[:, :, None] * (v[:, None, :] @ A[:, j:])
-    return A
+    old, new = clones.timestamp_ns.searchsorted([old_ns, new_ns]).tolist()
+    value, first, covariance = change_anchors_compiled(
+        coordinates.form, coordinates.axes, landmarks.size, (landmarks.value, landmarks.first),
+        index, (old, new), (clones.T_world_imu, clones.T_world_imu_first), T_imu_anchor,
+        state.covariance, state.first_clone, state.first_landmark,
+    )  # fmt: skip
+    anchor_ns = landmarks.anchor_ns.copy()
+    anchor_ns[index] = new_ns
+    moved_ones = Landmarks(
+        landmarks.representation, landmarks.feature_id, value, first, anchor_ns,
+        landmarks.rejections,
+    )  # fmt: skip
+    return with_landmarks(state, moved_ones, covariance)

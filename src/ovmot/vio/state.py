@@ -6,11 +6,11 @@ oldest first), landmarks (SLAM features; 3 each, or 1). Rotation errors are on t
 R_true = R_est · exp(δθ); everything else is additive.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.geometry import se3, so3
+from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.vio.landmarks import Landmarks, no_landmarks
 from ovmot.vio.online_calibration import OnlineCalibration
@@ -104,28 +104,42 @@ def no_clones() -> Clones:
     return Clones(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)), np.empty((0, 4, 4)))
 
 
-def box_plus(state: State, error: FloatArray) -> State:
-    """The state plus an error vector (N,): estimates change, first estimates stay."""
-    clones = state.clones
-    poses = np.concatenate([clones.T_world_imu, pose_matrix(state.imu)[None]])
-    errors = np.empty((len(poses), CLONE_SIZE))
-    errors[:-1] = error[state.first_clone : state.first_landmark].reshape(-1, CLONE_SIZE)
-    errors[-1] = error[THETA.start : POSITION.stop]
+def with_landmarks(state: State, landmarks: Landmarks, covariance: FloatArray) -> State:
+    """The state with other landmarks, and the covariance (N, N) with them."""
+    return State(
+        state.timestamp_ns, state.imu, state.imu_first, state.time_offset_s, state.clones,
+        covariance, state.calibration, landmarks,
+    )  # fmt: skip
+
+
+def box_plus(state: State, error: FloatArray, covariance: FloatArray | None = None) -> State:
+    """The state plus an error vector (N,): estimates change, first estimates stay.
+
+    `covariance` (N, N): that of the new estimate; None: it stays.
+    """
+    clones, imu = state.clones, state.imu
+    n = len(clones)
+    poses, errors = np.empty((n + 1, 4, 4)), np.empty((n + 1, CLONE_SIZE))
+    poses[:n], poses[n, :3, :3], poses[n, :3, 3] = clones.T_world_imu, imu.R_world_imu, imu.position
+    errors[:n] = error[state.first_clone : state.first_landmark].reshape(n, CLONE_SIZE)
+    errors[n] = error[THETA.start : POSITION.stop]
     poses = moved_poses_compiled(poses, errors)
-    imu = ImuState(
-        R_world_imu=poses[-1, :3, :3].copy(),
-        position=poses[-1, :3, 3].copy(),
-        velocity=state.imu.velocity + error[VELOCITY],
-        gyro_bias=state.imu.gyro_bias + error[GYRO_BIAS],
-        accel_bias=state.imu.accel_bias + error[ACCEL_BIAS],
+    moved = ImuState(
+        R_world_imu=poses[n, :3, :3].copy(),
+        position=poses[n, :3, 3].copy(),
+        velocity=imu.velocity + error[VELOCITY],
+        gyro_bias=imu.gyro_bias + error[GYRO_BIAS],
+        accel_bias=imu.accel_bias + error[ACCEL_BIAS],
     )
-    return replace(
-        state,
-        imu=imu,
-        time_offset_s=state.time_offset_s + float(error[TIME_OFFSET]),
-        clones=Clones(clones.timestamp_ns, poses[:-1], clones.T_world_imu_first),
-        calibration=state.calibration.plus(error[state.calibration_columns]),
-        landmarks=state.landmarks.plus(error[state.first_landmark :]),
+    return State(
+        state.timestamp_ns,
+        moved,
+        state.imu_first,
+        state.time_offset_s + float(error[TIME_OFFSET]),
+        Clones(clones.timestamp_ns, poses[:n], clones.T_world_imu_first),
+        state.covariance if covariance is None else covariance,
+        state.calibration.plus(error[state.calibration_columns]),
+        state.landmarks.plus(error[state.first_landmark :]),
     )
 
 
@@ -157,28 +171,32 @@ def marginalize_clone(state: State, index: int) -> State:
 
     No landmark may be anchored there any more; see `slam_features.change_anchor`.
     """
-    kept = np.delete(np.arange(len(state.covariance)), state.clone_columns(index))
-    clones = Clones(
-        np.delete(state.clones.timestamp_ns, index),
-        np.delete(state.clones.T_world_imu, index, axis=0),
-        np.delete(state.clones.T_world_imu_first, index, axis=0),
+    clones, columns = state.clones, state.clone_columns(index)
+    kept = np.arange(len(state.covariance) - CLONE_SIZE)
+    kept[columns.start :] += CLONE_SIZE
+    stays = np.arange(len(clones) - 1)
+    stays[index:] += 1
+    others = Clones(
+        clones.timestamp_ns[stays], clones.T_world_imu[stays], clones.T_world_imu_first[stays]
     )
-    return replace(state, clones=clones, covariance=covariance_of_compiled(state.covariance, kept))
+    return State(
+        state.timestamp_ns, state.imu, state.imu_first, state.time_offset_s, others,
+        covariance_of_compiled(state.covariance, kept), state.calibration, state.landmarks,
+    )  # fmt: skip
 
 
 def marginalize_landmarks(state: State, marginalized: BoolArray) -> State:
     """The state without the `marginalized` landmarks (L,)."""
     if not marginalized.any():
         return state
-    columns = state.first_landmark + np.flatnonzero(np.repeat(marginalized, state.landmarks.size))
-    kept = np.delete(np.arange(len(state.covariance)), columns)
-    return replace(
-        state,
-        landmarks=state.landmarks.rows(~marginalized),
-        covariance=covariance_of_compiled(state.covariance, kept),
-    )
+    stays = np.ones(len(state.covariance), dtype=np.bool_)
+    stays[state.first_landmark :] = np.repeat(~marginalized, state.landmarks.size)
+    covariance = covariance_of_compiled(state.covariance, np.flatnonzero(stays))
+    return with_landmarks(state, state.landmarks.rows(~marginalized), covariance)
 
 
 def pose_matrix(imu: ImuState) -> FloatArray:
     """T_world_imu (4, 4) of an IMU state."""
-    return se3.make(imu.R_world_imu, imu.position)
+    T = np.zeros((4, 4))
+    T[:3, :3], T[:3, 3], T[3, 3] = imu.R_world_imu, imu.position, 1.0
+    return T

@@ -1,7 +1,5 @@
 """Updates of the state by a measurement. Those by features are compiled: `update_kernel`."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dgeqrt, dpstrf
@@ -33,9 +31,9 @@ def ekf_update(
     if L is None:
         L = innovation_factor(P[np.ix_(columns, columns)], H, variance)
     W = solve_triangular(L, H @ P[columns], lower=True)
-    updated = box_plus(state, W.T @ solve_triangular(L, residual, lower=True))
     covariance = P - W.T @ W
-    return replace(updated, covariance=0.5 * (covariance + covariance.T))
+    error = W.T @ solve_triangular(L, residual, lower=True)
+    return box_plus(state, error, 0.5 * (covariance + covariance.T))
 
 
 def moved(state: State, error: FloatArray, covariance: FloatArray) -> State:
@@ -45,7 +43,7 @@ def moved(state: State, error: FloatArray, covariance: FloatArray) -> State:
     """
     if not np.isfinite(error).all():
         raise FloatingPointError("an update is not finite")
-    return replace(box_plus(state, error), covariance=covariance)
+    return box_plus(state, error, covariance)
 
 
 def innovation_distance(

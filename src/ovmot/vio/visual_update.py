@@ -4,8 +4,6 @@ The sets of features are those of OpenVINS: lost features, features of the clone
 and, of the latter, the longest tracks as candidates for SLAM features.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -17,7 +15,7 @@ from ovmot.settings import FilterSettings
 from ovmot.vio.msckf_features import consistent_features, triangulate_features
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.slam_features import delayed_initialization, update_slam_features
-from ovmot.vio.state import State, marginalize_landmarks
+from ovmot.vio.state import State, marginalize_landmarks, with_landmarks
 from ovmot.vio.update import moved
 
 _MIN_VIEWS = 3  # clones that observe a feature, a stereo pair counted once
@@ -113,13 +111,15 @@ def msckf_update(
     if not consistent.weight.any():
         return state
     new = (consistent.weight > 0.0) & slam_candidate
-    error = consistent.error
-    state = delayed_initialization(
-        replace(state, covariance=consistent.covariance), consistent.points.rows(new),
-        feature_id[valid][new], points[new], T_imu_anchor, error,
-    )  # fmt: skip
-    n_new = len(state.covariance) - len(error)
-    return moved(state, np.concatenate([error, np.zeros(n_new)]), state.covariance)
+    error, covariance = consistent.error, consistent.covariance
+    if new.any():
+        state = delayed_initialization(
+            with_landmarks(state, state.landmarks, covariance), consistent.points.rows(new),
+            feature_id[valid][new], points[new], T_imu_anchor, error,
+        )  # fmt: skip
+        covariance = state.covariance
+        error = np.concatenate([error, np.zeros(len(covariance) - len(error))])
+    return moved(state, error, covariance)
 
 
 def _update_with_slam_features(
@@ -143,14 +143,14 @@ def _update_with_slam_features(
     state = update_slam_features(
         state, rig, T_imu_anchor, pixels, settings.landmark_pixel_sigma, settings.chi2_multiplier
     )
-    used = np.zeros_like(table.used)
+    used = np.zeros(table.shape, dtype=np.bool_)
     used[-1, column] = True
     return state, mark_used(table, used)
 
 
 def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     """At most `count` of the candidates (F,), those with most views first."""
-    if candidates.sum() <= count:
+    if np.count_nonzero(candidates) <= count:
         return candidates
     out = np.zeros_like(candidates)
     ranked = np.argsort(np.where(candidates, -n_views, 1), kind="stable")

@@ -72,11 +72,12 @@ def stationary_share(
 
     `pixels`, `earlier` (N, 2), NaN where unseen; 0 with fewer than 8 points to compare.
     """
-    both = candidates & np.isfinite(pixels[:, 0]) & np.isfinite(earlier[:, 0])
-    if both.sum() < MIN_POINTS:
+    off = pixels - earlier
+    distance = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)[candidates]
+    n_both = np.count_nonzero(np.isfinite(distance))
+    if n_both < MIN_POINTS:
         return 0.0
-    distance = np.linalg.norm(pixels[both] - earlier[both], axis=1)
-    return float((distance < max_pixels).mean())
+    return float(np.count_nonzero(distance < max_pixels) / n_both)
 
 
 def prediction_is_stationary(state: State) -> bool:
