@@ -92,10 +92,10 @@ class FilterInitializer:
     ) -> tuple[MsckfFilter, FeatureTable] | str:
         """A filter whose state is at the last frame's time, with the keyframes as clones, and the
         table of what they saw; or why there is none yet."""
-        start, reasons = self._by_calibration.with_clock(frames, imu), []
-        for name, closed_form in (("static", start.static), ("dynamic", start.dynamic)):
+        reasons: list[str] = []
+        for name, guess in (("static", start.static), ("dynamic", start.dynamic)):
             try:
-                return start.adjusted_filter(closed_form(frames, imu), imu)
+                return start.adjusted_filter(*guess(frames, imu), imu)
             except (InitializationError, DatasetError, np.linalg.LinAlgError) as error:
                 reasons.append(f"{name} initialization: {error}")
         return "; ".join(reasons)
