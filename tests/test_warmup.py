@@ -22,5 +22,7 @@ def test_the_processes_call_every_part() -> None:
 
 def test_a_failure_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(warmup, "PROCESSES", (("none", "objects"),))
-    with pytest.raises(OvmotError, match="kernels of the none and objects could not be compiled: KeyError"):
+    with pytest.raises(
+        OvmotError, match="kernels of the none and objects could not be compiled: KeyError"
+    ):
         warmup.warm_up()

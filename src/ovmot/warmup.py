@@ -36,7 +36,7 @@ _STEP_M = 0.3
 
 
 def warm_up() -> None:
-    """Compile what is not compiled yet; raises `OvmotError` where that fails, with what was said."""
+    """Compile what is not compiled yet; raises `OvmotError` where that fails, and says why."""
     jobs = {
         names: subprocess.Popen(
             [sys.executable, "-c", f"from ovmot.warmup import call; call({names!r})"],

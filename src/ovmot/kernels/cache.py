@@ -76,7 +76,7 @@ class _Part:
     ) -> None:
         functools.update_wrapper(self, function)
         self._options = {"cache": False, "reorder": reorder, "inline": inline}
-        self._for_kernels: Any = _njit(function, **self._options, for_kernels=True)
+        self._for_kernels = cast(Any, _njit(function, **self._options, for_kernels=True))
         self._numba_type_ = self._for_kernels._numba_type_  # refers to it weakly
 
     def __call__(self, *args: Any) -> Any:
