@@ -1,9 +1,10 @@
-"""Compile the kernels ahead of the first run: several processes, each with a part of them.
+"""Compile the kernels ahead of the first run: two processes, each with some parts of them.
 
 A kernel is compiled when it is first called, and kept on disk (`kernels.cache`). Each part below
-calls those of some stages on a second of made-up data.
+calls those of some stages on a second of made-up data, as few as can be of another part's.
 """
 
+import gc
 import subprocess
 import sys
 from collections.abc import Callable
@@ -35,20 +36,26 @@ _STEP_M = 0.3
 
 
 def warm_up() -> None:
-    """Compile what is not compiled yet, each part in a process; raises `OvmotError` where one
-    fails, with what it said."""
+    """Compile what is not compiled yet; raises `OvmotError` where that fails, and says why."""
     jobs = {
-        name: subprocess.Popen(
-            [sys.executable, "-c", f"from ovmot.warmup import PARTS; PARTS[{name!r}]()"],
+        names: subprocess.Popen(
+            [sys.executable, "-c", f"from ovmot.warmup import call; call({names!r})"],
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
         )
-        for name in PARTS
+        for names in PROCESSES
     }  # fmt: skip
-    for name, job in jobs.items():
+    for names, job in jobs.items():
         _, said = job.communicate()
         if job.returncode:
             last = said.strip().splitlines()[-1] if said.strip() else f"exit {job.returncode}"
-            raise OvmotError(f"kernels of the {name} could not be compiled: {last}")
+            raise OvmotError(f"kernels of the {' and '.join(names)} could not be compiled: {last}")
+
+
+def call(names: tuple[str, ...]) -> None:
+    """Call some parts, in a process of their own."""
+    gc.disable()  # a compiler makes many small objects, and few cycles
+    for name in names:
+        PARTS[name]()
 
 
 def call_front_end() -> None:
@@ -70,9 +77,10 @@ def call_front_end() -> None:
 
 
 def call_filter() -> None:
-    """Propagation, updates, zero velocity and segmentation, from features of points at rest."""
+    """Propagation, updates and zero velocity, from features of points at rest."""
     recording = FeatureRecording(_simulation(), 0)
-    odometry = feature_odometry(recording, Settings())
+    settings = Settings(segmentation={"enabled": False}, objects={"enabled": False})
+    odometry = feature_odometry(recording, settings)
     for event in recording.events():
         odometry.add(event)
     odometry.finish()
@@ -106,6 +114,8 @@ PARTS: dict[str, Callable[[], None]] = {
     "filter": call_filter,
     "objects": call_objects,
 }
+PROCESSES: tuple[tuple[str, ...], ...] = (("filter", "front end"), ("objects",))
+"""The parts that each process calls: about the same amount of code to compile in each."""
 
 
 def _rig() -> StereoRig:

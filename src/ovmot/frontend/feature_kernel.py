@@ -48,7 +48,7 @@ def find_features(
     height, width = words.shape[0] - 2 * MARGIN, words.shape[1] - 2 * MARGIN
     for n in range(n_points):
         if not (math.isfinite(start[n, 0]) and math.isfinite(start[n, 1])):
-            uv[n] = points[n]
+            uv[n, 0], uv[n, 1] = points[n, 0], points[n, 1]
         u0, v0, begin_u, begin_v = points[n, 0], points[n, 1], uv[n, 0], uv[n, 1]
         if not (0.0 <= begin_u < width and 0.0 <= begin_v < height):
             continue

@@ -58,7 +58,7 @@ def spread_corners(
     taken, after = np.empty((n_existing + n_corners, 2)), np.full(n_existing + n_corners, -1)
     for k in range(n_existing):
         u, v = existing[k]
-        taken[k] = existing[k]
+        taken[k, 0], taken[k, 1] = u, v
         held[_cell_of(u, v, cell_px, rows, columns)] += 1
         _add_to_bin(u, v, distance, bins, k, after)
     chosen = np.zeros(n_corners, dtype=np.bool_)
@@ -70,7 +70,7 @@ def spread_corners(
         cell = _cell_of(u, v, cell_px, rows, columns)
         if held[cell] < per_cell and _is_free(u, v, distance, bins, after, taken):
             chosen[k] = True
-            taken[n_taken] = corners[k]
+            taken[n_taken, 0], taken[n_taken, 1] = u, v
             held[cell] += 1
             _add_to_bin(u, v, distance, bins, n_taken, after)
             n_taken += 1

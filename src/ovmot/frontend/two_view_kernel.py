@@ -85,7 +85,7 @@ def agree_with_translation(
         for i in range(3):
             turned[n, i] = R[i, 0] * u + R[i, 1] * v + R[i, 2]
         seen[n, 0], seen[n, 1], seen[n, 2] = now[n, 0], now[n, 1], 1.0
-        normal[n] = cross(turned[n], seen[n])
+        normal[n, 0], normal[n, 1], normal[n, 2] = cross(turned[n], seen[n])
     best, t, least = np.zeros(3), np.empty(3), np.inf
     state = np.uint64(1)
     for _ in range(n_samples):
@@ -103,14 +103,14 @@ def agree_with_translation(
         cost = _cost(t, R, turned, seen, normal, fitted, bound, least)
         if cost < least:
             least = cost
-            best[:] = t
+            best[0], best[1], best[2] = t[0], t[1], t[2]
     for _ in range(_ROUNDS):
         _fit(best, R, turned, seen, normal, fitted, bound, t)
         cost = _cost(t, R, turned, seen, normal, fitted, bound, least)
         if not cost < least:
             break
         least = cost
-        best[:] = t
+        best[0], best[1], best[2] = t[0], t[1], t[2]
     inlier = np.zeros(n_pairs, dtype=np.bool_)
     for n in range(n_pairs):
         inlier[n] = _distance2(best, R, turned[n], seen[n], normal[n]) <= bound

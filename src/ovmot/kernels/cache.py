@@ -8,6 +8,7 @@ several processes may share the folder.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import pickle
@@ -47,12 +48,12 @@ def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
 
 def part(function: _F) -> _F:
     """A function that kernels call, of their own file or of another one; it is kept with them."""
-    return _njit(function, cache=False, reorder=False)
+    return cast(_F, _Part(function))
 
 
 def reordered_part(function: _F) -> _F:
     """The same, with sums that may be added up in another order: see `compiled`."""
-    return _njit(function, cache=False, reorder=True)
+    return cast(_F, _Part(function, reorder=True))
 
 
 def inlined_part(function: _F) -> _F:
@@ -60,15 +61,41 @@ def inlined_part(function: _F) -> _F:
 
     A call counts references to each array that it hands over, which costs more than a few sums.
     """
-    return _njit(function, cache=False, reorder=False, inline=True)
+    return cast(_F, _Part(function, inline=True))
 
 
-def _njit(function: _F, cache: bool, reorder: bool, inline: bool = False) -> _F:
+class _Part:
+    """A function compiled for kernels, without what Python needs to call it.
+
+    That is a fifth of a kernel's compile time; `numba` finds the function by its type. Called from
+    Python, as tests do, the same text is compiled once more.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], reorder: bool = False, inline: bool = False
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self._options = {"cache": False, "reorder": reorder, "inline": inline}
+        self._for_kernels = cast(Any, _njit(function, **self._options, for_kernels=True))
+        self._numba_type_ = self._for_kernels._numba_type_  # refers to it weakly
+
+    def __call__(self, *args: Any) -> Any:
+        return self._for_python(*args)
+
+    @functools.cached_property
+    def _for_python(self) -> Callable[..., Any]:
+        function: Callable[..., Any] = self.__wrapped__  # type: ignore[attr-defined]
+        return _njit(function, **self._options)
+
+
+def _njit(
+    function: _F, cache: bool, reorder: bool, inline: bool = False, for_kernels: bool = False
+) -> _F:
     fastmath = {"reassoc", "contract", "nsz"} if reorder else False
     njit: Any = numba.njit  # its stub does not know every option
     decorate = njit(
         nogil=True, error_model="numpy", cache=cache, fastmath=fastmath,
-        forceinline=inline, no_cfunc_wrapper=True,
+        forceinline=inline, no_cfunc_wrapper=True, no_cpython_wrapper=for_kernels,
     )  # fmt: skip
     return cast(_F, decorate(function))
 

@@ -164,6 +164,14 @@ def chain_pairs(
     return T, v, Phi, Q
 
 
+@part
+def _copy(T: FloatArray, out: FloatArray) -> None:
+    """out (4, 4) = T: for an assignment of slices numba compiles the text of its error message."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = T[i, j]
+
+
 def chain_poses(
     T_world_imu: FloatArray, velocity: FloatArray, gravity: float,
     gyro: FloatArray, accel: FloatArray, dt: FloatArray,
@@ -175,7 +183,7 @@ def chain_poses(
     """
     poses, v = np.empty((len(dt) + 1, 4, 4)), velocity.copy()
     T = T_world_imu.copy()
-    poses[0] = T
+    _copy(T, poses[0])
     turned, turn, dv, dp = np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(len(dt)):
         h = dt[n]
@@ -185,7 +193,7 @@ def chain_poses(
             dp[i] = 0.5 * dv[i] * h
         rotation_exp(turned, turn)
         _move(T, v, turn, dv, dp, h, gravity)
-        poses[n + 1] = T
+        _copy(T, poses[n + 1])
     return poses
 
 
