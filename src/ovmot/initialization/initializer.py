@@ -92,10 +92,10 @@ class FilterInitializer:
     ) -> tuple[MsckfFilter, FeatureTable] | str:
         """A filter whose state is at the last frame's time, with the keyframes as clones, and the
         table of what they saw; or why there is none yet."""
-        reasons: list[str] = []
-        for name, guess in (("static", start.static), ("dynamic", start.dynamic)):
+        start, reasons = self._by_calibration, list[str]()
+        for name, begin in (("static", start.from_rest), ("dynamic", start.from_motion)):
             try:
-                return start.adjusted_filter(*guess(frames, imu), imu)
+                return begin(frames, imu)
             except (InitializationError, DatasetError, np.linalg.LinAlgError) as error:
                 reasons.append(f"{name} initialization: {error}")
         return "; ".join(reasons)
@@ -114,9 +114,24 @@ class _Start:
         """A frame's time on the IMU's clock."""
         return frame_ns + round(self.clock.value_s * 1e9)
 
-    def with_clock(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> "_Start":
+    def from_rest(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple[MsckfFilter, FeatureTable]:
+        """Static initialization; raises `InitializationError` where the rig is not at rest."""
+        return self._adjusted_filter(self._static(frames, imu), imu)
+
+    def from_motion(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple[MsckfFilter, FeatureTable]:
+        """Dynamic initialization, by the time offset that fits; raises `InitializationError` where
+        images and IMU do not agree."""
+        start = self._with_clock(frames, imu)
+        return start._adjusted_filter(start._dynamic(frames, imu), imu)
+
+    def _with_clock(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> "_Start":
         """The start by the time offset that the turns of the window show, if they show another."""
-        if self.clock.sigma_s == 0.0 or len(frames) < _MIN_DYNAMIC_FRAMES:
+        span_s = (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
+        if self.clock.sigma_s == 0.0 or span_s < self.settings.initialization.motion_window_s:
             return self
         stamps = [self.imu_time_ns(f.timestamp_ns) for f in frames]
         try:
@@ -126,7 +141,7 @@ class _Start:
             return self
         return replace(self, clock=find_clock_offset(path, np.array(stamps), imu, self.clock))
 
-    def static(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
+    def _static(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
         """The guess that the rig is stationary over the window."""
         settings = self.settings.initialization
         now = self.imu_time_ns(frames[-1].timestamp_ns)
@@ -152,7 +167,7 @@ class _Start:
             state, T, np.array(stamps), keyframes, solution.feature_id, stationary=True
         )
 
-    def dynamic(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
+    def _dynamic(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
         """The guess by stereo motion and IMU over the window."""
         settings = self.settings
         window_s = settings.initialization.motion_window_s
@@ -173,7 +188,7 @@ class _Start:
             [frames[k] for k in index], solution.feature_id, stationary=False,
         )  # fmt: skip
 
-    def adjusted_filter(
+    def _adjusted_filter(
         self, guess: InitialGuess, imu: ImuBuffer
     ) -> tuple[MsckfFilter, FeatureTable]:
         """The filter after bundle adjustment, and the table with used observations marked."""
