@@ -44,6 +44,8 @@ class StereoFrame:
         rectified.
     left_mask, right_mask
         Images (height, width); from pixels where they are not zero, nothing is taken.
+    missing
+        Cameras, 0 left and 1 right, that gave no picture: a black image stands in its place.
     """
 
     timestamp_ns: int
@@ -51,6 +53,21 @@ class StereoFrame:
     right: Image
     left_mask: Image | None = None
     right_mask: Image | None = None
+    missing: tuple[int, ...] = ()
+
+
+class Picture(StrEnum):
+    """What a camera gave: a picture, or one that is not matched since it shows nothing of now.
+
+    `missing`: none; `flat`: without contrast, black or white all over; `repeated`: the last one
+    once more, though the rig moved; `torn`: rows of the last one in it.
+    """
+
+    FINE = "fine"
+    MISSING = "missing"
+    FLAT = "flat"
+    REPEATED = "repeated"
+    TORN = "torn"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +164,7 @@ class FrontendFrame:
     itself; `normalized` (N, 4) is the same in undistorted plane coordinates.
     `track_length` (N,) counts the frames through which KLT has carried the feature (0: new here);
     `two_view_inlier` (N,) is the verdict of the robust test between the last frame and this one.
+    `pictures`: what the left and the right camera gave.
     """
 
     timestamp_ns: int
@@ -155,6 +173,7 @@ class FrontendFrame:
     normalized: FloatArray
     track_length: IntArray
     two_view_inlier: BoolArray
+    pictures: tuple[Picture, Picture] = (Picture.FINE, Picture.FINE)
 
     def __len__(self) -> int:
         return len(self.feature_id)

@@ -1,0 +1,62 @@
+"""The right camera by itself, for as long as the left one has no picture."""
+
+from concurrent.futures import Executor
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
+from ovmot.frontend.prediction import carried_positions, motion_of_right
+from ovmot.frontend.preprocessing import View
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import TrackerSettings
+from ovmot.types import FrontendFrame
+
+
+class RightAlone:
+    """Goes on with the features that the right camera saw last, under their ids, and new ones."""
+
+    def __init__(self, settings: TrackerSettings, helper: Executor, ids: FeatureIds) -> None:
+        self._settings, self._helper, self._ids = settings, helper, ids
+        self._tracker: KltTracker | None = None
+        self._p_cam1 = np.empty((0, 3))
+
+    def end(self) -> None:
+        """The left camera is back: what the right one followed by itself is given up."""
+        self._tracker = None
+
+    def track(
+        self,
+        timestamp_ns: int,
+        view: View,
+        before: tuple[View, TrackedPoints, FloatArray] | None,
+        T_now_before: FloatArray,
+        rig: StereoRig,
+        dynamic_id: IntArray,
+    ) -> FrontendFrame:
+        """Features of a frame, each in the right half of its columns.
+
+        `before`: the last right view, the features in it and where they were in the left camera
+        (N, 3), metres, None where it has none. `T_now_before` (4, 4): motion of the left camera
+        since the last frame.
+        """
+        if self._tracker is None:
+            self._tracker = KltTracker(self._settings, self._helper, self._ids)
+            self._p_cam1 = np.empty((0, 3))
+            if before is not None:
+                last_view, points, p_cam0 = before
+                self._tracker.take_over(last_view, points)
+                self._p_cam1 = se3.apply(rig.T_cam1_cam0, p_cam0)
+        T, last = motion_of_right(T_now_before, rig), self._tracker.points
+        points = self._tracker.step(view, self._p_cam1, self._p_cam1, T, None, dynamic_id)
+        self._p_cam1 = carried_positions(last, points, self._p_cam1, T)
+        unseen = np.full((len(points), 2), np.nan)
+        return FrontendFrame(
+            timestamp_ns=timestamp_ns,
+            feature_id=points.feature_id,
+            pixels=np.concatenate([unseen, points.uv], axis=1),
+            normalized=np.concatenate([unseen, points.xy], axis=1),
+            track_length=points.track_length,
+            two_view_inlier=points.inlier,
+        )
