@@ -121,8 +121,8 @@ def rectified(rig: StereoRig) -> StereoRig:
     y = np.cross(rig.T_imu_cam0[:3, 2], x)
     y /= np.linalg.norm(y)
     R_imu_rect = np.stack([x, y, np.cross(x, y)], axis=-1)
-    cam0, (fx, _, cx, cy, _) = rig.cam0, rig.cam0.intrinsics
-    camera = Camera.make((cam0.width, cam0.height), (fx, fx), (cx, cy))
+    cam0, (cx, cy) = rig.cam0, rig.cam0.intrinsics[2:4]
+    camera = Camera.make((cam0.width, cam0.height), (cam0.fx, cam0.fx), (cx, cy))
     poses = se3.make(R_imu_rect, p0), se3.make(R_imu_rect, p1)
     return replace(rig, cam0=camera, cam1=camera, T_imu_cam0=poses[0], T_imu_cam1=poses[1])
 
