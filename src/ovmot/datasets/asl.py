@@ -6,10 +6,10 @@ import numpy as np
 
 from ovmot.datasets.calibration import (
     Calibration,
+    calibrated_camera,
     load_calibration_yaml,
     make_rig,
     read_imu_noise,
-    read_pinhole,
 )
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise
 from ovmot.datasets.frames import (
@@ -90,7 +90,7 @@ def read_euroc(cam0: Path, cam1: Path, imu: Path | None) -> Calibration:
     Raises `CalibrationError` with file, key and remedy.
     """
     left, right = load_calibration_yaml(cam0), load_calibration_yaml(cam1)
-    cameras = tuple(read_pinhole(node, "distortion_coefficients") for node in (left, right))
+    cameras = tuple(calibrated_camera(node, "distortion_coefficients") for node in (left, right))
     T_body_cam0, T_body_cam1 = left.transform("T_BS"), right.transform("T_BS")
     if imu is None:
         return Calibration(

@@ -25,9 +25,7 @@ def distort_by(
 
 
 @inlined_part
-def jacobian_by(
-    k1: float, k2: float, p1: float, p2: float, k3: float, x: float, y: float
-) -> Four:
+def jacobian_by(k1: float, k2: float, p1: float, p2: float, k3: float, x: float, y: float) -> Four:
     """`distort_jacobian` with its coefficients one by one."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
