@@ -22,7 +22,7 @@ from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.remote import RemoteFrontEnd
 from ovmot.geometry.arrays import FloatArray
 from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
-from ovmot.initialization.initializer import FilterInitializer
+from ovmot.initialization.initializer import FilterInitializer, motion_window_s
 from ovmot.interfaces import (
     Feedback,
     FrontEnd,
@@ -124,7 +124,9 @@ class Odometry:
         self._source: OdometrySource | None = None
         self._table = empty_table()
         self._feedback = no_feedback(rig)
-        self._before_start = FrameBuffer(self._initializer, settings.initialization)
+        self._before_start = FrameBuffer(
+            self._initializer, settings.initialization, motion_window_s(rig, settings)
+        )
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
         self.counts: Counter[str] = Counter(

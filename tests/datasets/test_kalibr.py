@@ -105,7 +105,7 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("[-1.0, 0.0, 0.0, 0.05]", "[-1.0, 0.5, 0.0, 0.05]", "'cam0.T_imu_cam': .*not a rotation"),
         ("[-1.0, 0.0, 0.0, 0.05]", "[1.0, 0.0, 0.0, 0.05]", "not a rotation"),
         ("[-1.0, 0.0, 0.0, 0.05]", "[-1.0, 0.0, 0.05]", "expected 4x4 numbers"),
-        ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: glass", "'glass' is not known"),
+        ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: pin", "'pin' is not known"),
         ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: omni", "expected 5 numbers"),
         ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: ds", "expected 6 numbers"),
         ("T_cn_cnm1", "T_other", "'cam1.T_cam_imu': the camera's pose is missing"),

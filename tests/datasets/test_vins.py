@@ -132,5 +132,5 @@ def test_one_camera_of_vins_fusion_and_of_vins_mono(tmp_path: Path) -> None:
 
 def test_a_mirror_in_front_of_the_camera(tmp_path: Path) -> None:
     path = fusion(tmp_path, MEI.replace("xi: 1.7", "xi: -1.7"), MEI)
-    with pytest.raises(CalibrationError, match="'mirror_parameters': xi is -1.75"):
+    with pytest.raises(CalibrationError, match=r"'mirror_parameters': xi is -1\.75"):
         read_calibration(path)
