@@ -114,8 +114,11 @@ class FilterInitializer:
         begin = min(begin, self.imu_time_ns(frames[0].timestamp_ns))
         samples = imu.between(begin, now)
         gravity = self.settings.filter.gravity_mps2
+        # without stereo nothing tells traffic around a stationary rig from a world that passes by
+        rest = self.settings.zero_velocity
+        least_share = None if has_stereo(self.rig, self.settings) else rest.still_share
         solution = static_initialization(
-            frames, samples, self.rig, settings, gravity, self.settings.zero_velocity.pixel
+            frames, samples, self.rig, settings, gravity, rest.pixel, least_share
         )
         state = solution.state
         keyframes = [frames[k] for k in self._keyframes(frames)]

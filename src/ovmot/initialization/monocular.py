@@ -16,7 +16,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InitializationError
-from ovmot.geometry import se3, so3
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.stereo_motion import MIN_POINTS
 from ovmot.geometry.triangulation import inverse_3x3
@@ -29,12 +29,10 @@ from ovmot.initialization.static import gravity_aligned_rotation
 from ovmot.physics import GYRO_BIAS_SIGMA_RPS, tracked_pixel_sigma
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 from ovmot.vio.propagation import Propagation
-from ovmot.vio.state import GYRO_BIAS, POSITION, THETA, ImuState
+from ovmot.vio.state import GYRO_BIAS, THETA, ImuState
 
 _LEAST_VIEWS = 4
-_PAIR_S = (
-    0.2  # between the frames of a pair: long enough for a translation, short enough to be seen
-)
+_PAIR_S = 0.4  # between the frames of a pair: parallax beyond noise, in tracks that last so long
 _LEAST_DEPTH_M = 0.1
 
 
@@ -87,8 +85,8 @@ def monocular_initialization(
     )
     if solution.agree.sum() < MIN_POINTS:
         raise InitializationError(
-            f"{solution.agree.sum()} of {len(solution.agree)} points agree with the IMU"
-            f" (at least {MIN_POINTS})"
+            f"{solution.agree.sum()} of {len(solution.agree)} points agree with the IMU (at least"
+            f" {MIN_POINTS}): one camera needs accelerations to know the scale"
         )
     v, g, zero = solution.velocity, solution.gravity, np.zeros(3)
     p = v * t[:, None] + 0.5 * g * t[:, None] ** 2 + alpha
