@@ -22,7 +22,7 @@ from ovmot.frontend.epipolar import match_sigma
 from ovmot.frontend.remote import RemoteFrontEnd
 from ovmot.geometry.arrays import FloatArray
 from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
-from ovmot.initialization.initializer import FilterInitializer, motion_window_s
+from ovmot.initialization.initializer import FilterInitializer, has_stereo, motion_window_s
 from ovmot.interfaces import (
     Feedback,
     FrontEnd,
@@ -104,7 +104,7 @@ class Odometry:
         threads: int = 1,
         on_result: Callable[[FrameResult], None] | None = None,
     ) -> None:
-        settings = settings or Settings()
+        settings = settings_in_use(settings or Settings(), rig)
         self._settings = settings
         self._initializer: Initializer = initializer or FilterInitializer(
             rig, noise_in_use(imu_noise, settings.imu), settings
@@ -412,6 +412,23 @@ def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEnd:
     if threads > 1:
         return RemoteFrontEnd(rig, tracker, settings.epipolar)
     return FRONT_ENDS[tracker.cameras](rig, tracker, settings.epipolar, 1)
+
+
+NO_OBJECTS = "objects are off: without stereo matches the depth of what moves is not known"
+
+
+def settings_in_use(settings: Settings, rig: StereoRig) -> Settings:
+    """The settings without what needs more than the rig has.
+
+    One camera is followed by itself. Without stereo matches there are no objects (`NO_OBJECTS`).
+    """
+    if rig.n_cameras == 1:
+        tracker = settings.tracker.model_copy(update={"cameras": "left"})
+        settings = settings.model_copy(update={"tracker": tracker})
+    if not has_stereo(rig, settings):
+        objects = settings.objects.model_copy(update={"enabled": False})
+        settings = settings.model_copy(update={"objects": objects})
+    return settings
 
 
 def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:

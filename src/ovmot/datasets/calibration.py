@@ -51,13 +51,15 @@ _FIELD = 0.003, 1e4  # tangent of the widest ray: 0.2 and 89.99 degrees
 class Calibration:
     """A rig and, where the files say it, the noise of its IMU.
 
-    `cameras`: the names of its cameras among those of the files, left first. `note` tells the user
+    `cameras`: the names of its cameras among those of the files, left first; `topics`: their image
+    topics, where the files say them. `note` tells the user
     which were taken, where that could be doubted.
     """
 
     rig: StereoRig
     imu_noise: ImuNoise | None
     cameras: tuple[str, ...] = ("cam0", "cam1")
+    topics: tuple[str | None, ...] = (None, None)
     note: str | None = None
 
 

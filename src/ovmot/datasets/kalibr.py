@@ -90,7 +90,8 @@ def read_kalibr_cameras(
             f"{path}: {len(names)} cameras, of which {chosen[0]} is taken as the left and"
             f" {chosen[1]} as the right one (--left, --right)"
         )
-    return Calibration(rig, None, chosen, note)
+    topics = [str(node.value("rostopic")) if node.has("rostopic") else None for node in nodes]
+    return Calibration(rig, None, chosen, tuple(topics), note)
 
 
 def _camera_names(chain: CalibrationNode) -> list[str]:

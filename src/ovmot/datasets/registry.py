@@ -131,7 +131,8 @@ def open_recording(
         _refuse(root, "is no bag", imu=asked.imu)
         if isinstance(given, Path):
             given = read_calibration(given, asked.left, asked.right)
-        elif given is None or not {asked.left, asked.right} <= {*given.cameras, None}:
+        known = () if given is None else (*given.cameras, *given.topics)
+        if not {asked.left, asked.right} <= {*known, None}:
             _refuse(root, "is no bag", left=asked.left, right=asked.right)
         return open_sequence(root, format, sequence, given, imu_max_gap_s)
     _refuse(root, "is a bag", format=format, sequence=sequence)

@@ -47,13 +47,16 @@ def read_vins(path: Path) -> Calibration:
     node = load_calibration_yaml(path)
     offset_s = node.number("td") if node.has("td") else 0.0
     if node.has("model_type"):
-        return Calibration(make_rig(path, (_camera(node),), (_mono_pose(node),), offset_s), None)
+        rig = make_rig(path, (_camera(node),), (_mono_pose(node),), offset_s)
+        return Calibration(rig, None, ("cam0",))
     one = node.has("num_of_cam") and node.number("num_of_cam") == 1
     sides = (0,) if one else (0, 1)
     files = [path.with_name(str(node.value(f"cam{i}_calib"))) for i in sides]
     cameras = [_camera(load_calibration_yaml(file)) for file in files]
     poses = [node.transform(f"body_T_cam{i}") for i in sides]
-    return Calibration(make_rig(path, cameras, poses, offset_s), None)
+    return Calibration(
+        make_rig(path, cameras, poses, offset_s), None, tuple(f"cam{i}" for i in sides)
+    )
 
 
 def _mono_pose(node: CalibrationNode) -> FloatArray:

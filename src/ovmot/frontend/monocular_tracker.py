@@ -8,7 +8,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar import no_matches
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
-from ovmot.frontend.preprocessing import preprocess
+from ovmot.frontend.preprocessing import LEFT, preprocess
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
@@ -16,8 +16,6 @@ from ovmot.interfaces import Feedback
 from ovmot.runtime import helping_thread
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
-
-LEFT, RIGHT = 0, 1
 
 
 class MonocularTracker:
@@ -53,7 +51,9 @@ class MonocularTracker:
         `OvmotError` for a frame without images.
         """
         self._rig = feedback.rig
-        views = preprocess(frame, self._rig, self._settings, self._helper)
+        sides = tuple(self._trackers)
+        seen = preprocess(frame, self._rig, self._settings, self._helper, sides)
+        views = dict(zip(sides, seen, strict=True))
         points = {}
         for side, tracker in self._trackers.items():
             T = _motion_of(side, T_now_before, self._rig)
