@@ -1,7 +1,7 @@
 """What calibration files have in common: safe YAML, checked numbers, errors that name the key."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,11 @@ class Calibration:
     cameras: tuple[str, ...] = ("cam0", "cam1")
     topics: tuple[str | None, ...] = (None, None)
     note: str | None = None
+
+    def of_left_camera(self) -> "Calibration":
+        """The same with the left camera alone."""
+        rig = StereoRig.monocular(self.rig.cam0, self.rig.T_imu_cam0, self.rig.time_offset_s)
+        return replace(self, rig=rig, cameras=self.cameras[:1], topics=self.topics[:1], note=None)
 
 
 @dataclass(frozen=True, slots=True)

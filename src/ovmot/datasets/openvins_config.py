@@ -233,20 +233,22 @@ def _read_chains(
     if "relative_config_imucam" not in data:
         return None, []
     chain = path.parent / str(data["relative_config_imucam"])
-    unused = [(chain, _unused_of_cameras(load_calibration_yaml(chain)))]
-    noise = None
+    calibration, noise = read_kalibr_cameras(chain, left, right), None
+    if data.get("max_cameras") == 1:
+        calibration = calibration.of_left_camera()
+    unused = [(chain, _unused_of_cameras(load_calibration_yaml(chain), calibration.cameras))]
     if "relative_config_imu" in data:
         file = path.parent / str(data["relative_config_imu"])
         noise = read_kalibr_noise(file)
         unused.append((file, _unused_of_imu(load_calibration_yaml(file))))
-    return replace(read_kalibr_cameras(chain, left, right), imu_noise=noise), unused
+    return replace(calibration, imu_noise=noise), unused
 
 
-def _unused_of_cameras(chain: CalibrationNode) -> list[str]:
-    """Keys of `cam0` and `cam1`, each once, and further cameras."""
+def _unused_of_cameras(chain: CalibrationNode, cameras: Sequence[str]) -> list[str]:
+    """Keys of the cameras that are taken, each once, and further cameras."""
     keys: dict[str, None] = {}
     for name in chain.data:
-        if name in ("cam0", "cam1"):
+        if name in cameras:
             keys |= dict.fromkeys(key for key in chain.child(name).data if key not in _CAMERA_KEYS)
         else:
             keys[str(name)] = None

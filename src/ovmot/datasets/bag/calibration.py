@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.bag.file import Bag
 from ovmot.datasets.bag.topics import BagTopics, FoundTopics
 from ovmot.datasets.calibration import Calibration, CalibrationNode, make_rig
@@ -69,10 +68,7 @@ def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | Calibration | N
     missing.
     """
     if isinstance(chain, Calibration):
-        rig = chain.rig
-        if topics.right is None and rig.n_cameras == 2:
-            rig = StereoRig.monocular(rig.cam0, rig.T_imu_cam0, rig.time_offset_s)
-        return replace(chain, rig=rig)
+        return chain.of_left_camera() if topics.right is None else chain
     nodes = [_info(bag, topic) for topic in topics.images]
     names = [t for t, node in zip(topics.images, nodes, strict=True) if node is None]
     if names:
