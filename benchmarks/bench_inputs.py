@@ -30,7 +30,7 @@ class Recording:
     def pairs(self) -> list[tuple[Image, Image]]:
         """The grey images of all frames, left and right."""
         frames = (event for event in self.events if isinstance(event, ovmot.StereoFrame))
-        return [(frame.left, frame.right) for frame in frames]
+        return [frame.pair for frame in frames]
 
     @property
     def image_bytes(self) -> int:

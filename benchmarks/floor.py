@@ -138,7 +138,7 @@ def main() -> None:
     arguments = parser.parse_args()
     ovmot.prepare_process()
     frames = (e for e in ovmot.open(arguments.folder) if isinstance(e, ovmot.StereoFrame))
-    pairs = [(frame.left, frame.right) for frame in frames]
+    pairs = [frame.pair for frame in frames]
     times = measure_floor(pairs, arguments.points)
     listed = ", ".join(f"{step} {ms:.2f}" for step, ms in times.milliseconds.items())
     print(

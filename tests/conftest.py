@@ -216,7 +216,7 @@ def painted_euroc(
     for i, stamp in enumerate(stamps):
         pair = painted_pair(stamp, 0.0, 0.15 * i)
         cv2.imwrite(str(root / "cam0" / "data" / f"{stamp}.png"), pair.left)
-        cv2.imwrite(str(root / "cam1" / "data" / f"{stamp}.png"), pair.right)
+        cv2.imwrite(str(root / "cam1" / "data" / f"{stamp}.png"), pair.pair[1])
     (root / "imu0").mkdir()
     rng = np.random.default_rng(0)
     rates = rng.normal(0.0, 1e-3, (241, 6))

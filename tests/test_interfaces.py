@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.errors import DatasetError
+from ovmot.errors import DatasetError, OvmotError
 from ovmot.interfaces import check_event
 from ovmot.types import Event, FeatureFrame, ImuSample, StereoFrame
 
@@ -53,3 +53,13 @@ def test_good_events(painted_rig: StereoRig, event: Event) -> None:
 def test_malformed_events(painted_rig: StereoRig, event: Event, message: str) -> None:
     with pytest.raises(DatasetError, match=message):
         check_event(event, painted_rig)
+
+
+def test_a_monocular_rig_needs_no_right_image(painted_rig: StereoRig) -> None:
+    alone = StereoFrame(7, IMAGE)
+    check_event(alone, StereoRig.monocular(painted_rig.cam0, painted_rig.T_imu_cam0))
+    with pytest.raises(DatasetError, match="frame 7: the right image must be a grey one"):
+        check_event(alone, painted_rig)
+    with pytest.raises(OvmotError, match="frame 7: one image where two were expected"):
+        _ = alone.pair
+    assert FRAME.pair == (IMAGE, IMAGE)

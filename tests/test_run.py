@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -19,7 +20,7 @@ from ovmot.datasets.registry import open_sequence
 from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError, InputError, OvmotError
 from ovmot.geometry import se3
-from ovmot.odometry import Odometry
+from ovmot.odometry import NO_OBJECTS, Odometry
 from ovmot.outputs.run_writer import RunWriter, open_outputs
 from ovmot.run import RunOptions, poses_from_file, run_sequence
 from ovmot.settings import MaskSettings, ObjectSettings, Settings
@@ -396,3 +397,33 @@ def test_camera_poses_are_carried_to_the_imu(painted_euroc: Path, tmp_path: Path
     start = poses_from_file(str(poses), sequence, SETTINGS)
     T_world_cam0 = start.source.T_world_imu[0] @ sequence.rig.T_imu_cam0
     np.testing.assert_allclose(se3.apply(T_world_cam0, np.zeros(3)), [2.0, -0.5, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_run_with_one_camera(painted_euroc: Path, tmp_path: Path, threads: int) -> None:
+    """At rest it starts without stereo; objects are off, and it says why."""
+    shutil.rmtree(painted_euroc / "mav0" / "cam1")
+    told = run(painted_euroc, tmp_path / "out", save_points=True, video=True, threads=threads)
+    assert told["ended"] == "finished"
+    assert told["counts"]["frames_written"] >= 6
+    assert np.abs(np.loadtxt(tmp_path / "out" / "trajectory.tum")[:, 1:4]).max() < 0.01
+    assert (told["settings"]["tracker"]["cameras"], told["settings"]["objects"]["enabled"]) == (
+        "left", False,
+    )  # fmt: skip
+    said = [warning["message"] for warning in told["warnings"]]
+    assert NO_OBJECTS in said
+    assert not any("without a stereo match" in text for text in said)
+    assert not (tmp_path / "out" / "objects_kitti.txt").exists()
+
+
+def test_the_left_camera_of_two_has_no_objects_either(painted_euroc: Path, tmp_path: Path) -> None:
+    tracker = SETTINGS.tracker.model_copy(update={"cameras": "left"})
+    left = SETTINGS.model_copy(update={"tracker": tracker})
+    told = run(painted_euroc, tmp_path / "left", left)
+    assert NO_OBJECTS in [warning["message"] for warning in told["warnings"]]
+    off = left.model_copy(update={"objects": ObjectSettings(enabled=False)})
+    told = run(painted_euroc, tmp_path / "off", off)  # as asked for: nothing to say
+    assert NO_OBJECTS not in [warning["message"] for warning in told["warnings"]]
+    assert (tmp_path / "left" / "trajectory.tum").read_bytes() == (
+        tmp_path / "off" / "trajectory.tum"
+    ).read_bytes()

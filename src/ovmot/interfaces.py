@@ -156,7 +156,8 @@ def check_event(event: Event, rig: StereoRig) -> None:
     """Raise `DatasetError`, with the stamp, for an event that is not what its type promises.
 
     Stamps are whole ns; IMU readings are three finite numbers each; images are uint8 and of their
-    camera's size, and so are masks; features are N ids and pixels (N, 4).
+    camera's size, and so are masks; a monocular rig needs no right one; features are N ids and
+    pixels (N, 4).
     """
     stamp = event.timestamp_ns
     if not isinstance(stamp, int | np.integer):
@@ -171,11 +172,12 @@ def check_event(event: Event, rig: StereoRig) -> None:
             raise DatasetError(f"frame {stamp}: features must be N ids and pixels (N, 4)")
         return
     cam0, cam1 = rig.cameras
+    optional = ("left mask", "right mask", *(("right image",) if rig.n_cameras == 1 else ()))
     for name, image, camera in (
         ("left image", event.left, cam0), ("left mask", event.left_mask, cam0),
         ("right image", event.right, cam1), ("right mask", event.right_mask, cam1),
     ):  # fmt: skip
-        if image is None and name.endswith("mask"):
+        if image is None and name in optional:
             continue
         if not _is_grey(image, (camera.height, camera.width)):
             size = f"{camera.width}x{camera.height}"

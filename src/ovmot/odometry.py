@@ -23,7 +23,7 @@ from ovmot.frontend.remote import RemoteFrontEnd
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import contained
 from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
-from ovmot.initialization.initializer import FilterInitializer
+from ovmot.initialization.initializer import FilterInitializer, has_stereo, motion_window_s
 from ovmot.interfaces import (
     Feedback,
     FrontEnd,
@@ -105,7 +105,7 @@ class Odometry:
         threads: int = 1,
         on_result: Callable[[FrameResult], None] | None = None,
     ) -> None:
-        settings = settings or Settings()
+        settings = settings_in_use(settings or Settings(), rig)
         self._settings = settings
         self._initializer: Initializer = initializer or FilterInitializer(
             rig, noise_in_use(imu_noise, settings.imu), settings
@@ -125,7 +125,9 @@ class Odometry:
         self._source: OdometrySource | None = None
         self._table = empty_table()
         self._feedback = no_feedback(rig)
-        self._before_start = FrameBuffer(self._initializer, settings.initialization)
+        self._before_start = FrameBuffer(
+            self._initializer, settings.initialization, motion_window_s(rig, settings)
+        )
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
         self.counts: Counter[str] = Counter(
@@ -414,6 +416,23 @@ def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEnd:
     if threads > 1:
         return RemoteFrontEnd(rig, tracker, settings.epipolar)
     return FRONT_ENDS[tracker.cameras](rig, tracker, settings.epipolar, 1)
+
+
+NO_OBJECTS = "objects are off: without stereo matches the depth of what moves is not known"
+
+
+def settings_in_use(settings: Settings, rig: StereoRig) -> Settings:
+    """The settings without what needs more than the rig has.
+
+    One camera is followed by itself. Without stereo matches there are no objects (`NO_OBJECTS`).
+    """
+    if rig.n_cameras == 1:
+        tracker = settings.tracker.model_copy(update={"cameras": "left"})
+        settings = settings.model_copy(update={"tracker": tracker})
+    if not has_stereo(rig, settings):
+        objects = settings.objects.model_copy(update={"enabled": False})
+        settings = settings.model_copy(update={"objects": objects})
+    return settings
 
 
 def noise_in_use(calibrated: ImuNoise | None, settings: ImuSettings) -> ImuNoise:

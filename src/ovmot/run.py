@@ -16,7 +16,7 @@ from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
-from ovmot.odometry import STAGES, Odometry, noise_in_use
+from ovmot.odometry import NO_OBJECTS, STAGES, Odometry, noise_in_use, settings_in_use
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.settings import Settings
@@ -101,7 +101,9 @@ def run_sequence(
     and a `run.json` that says so, and is raised again. Raises `InputError` for options that do not
     fit the sequence or the folder, `OvmotError` where the run fails.
     """
-    counts = Counter(sequence.counts)
+    counts, wanted = Counter(sequence.counts), settings.objects.enabled
+    settings = settings_in_use(settings, sequence.rig)
+    no_objects = [NO_OBJECTS] if wanted and not settings.objects.enabled else []
     stream = events(sequence, first=options.first, last=options.last)
     for masks in _masks(sequence, settings, options):
         stream = with_masks(stream, masks)
@@ -127,7 +129,7 @@ def run_sequence(
             zip(sequence.frame_ns.tolist(), sequence.frame_number.tolist(), strict=True)
         ),
         counts=counts,
-        warnings=Counter(sequence.warnings),
+        warnings=Counter([*sequence.warnings, *no_objects]),
         ego="filter" if poses is None else "poses",
     )
     return run_into_folder(source, settings, options, on_frame, on_wait)

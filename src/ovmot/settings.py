@@ -156,6 +156,10 @@ class InitializationSettings(Section):
     """Length of IMU and images that a start at rest looks at."""
     motion_window_s: float = Field(1.2, gt=0.3)
     """Length of stereo motion that a start in motion solves over."""
+    mono_window_s: float = Field(2.0, gt=0.3)
+    """The same without stereo matches: the scale is in the accelerations alone."""
+    mono_scale_sigma: float = Field(0.05, gt=0.0)
+    """Such a start waits until the standard deviation of the scale is below this share of it."""
     accel_bias_sigma_mps2: float = Field(0.05, gt=0.0)
     """Standard deviation of the accelerometer bias that a start expects."""
     rest_gyro_rps: float = Field(0.02, gt=0.0)

@@ -9,6 +9,7 @@ from enum import IntEnum, StrEnum
 
 import numpy as np
 
+from ovmot.errors import OvmotError
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 
@@ -33,7 +34,7 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class StereoFrame:
-    """One stereo pair, both images exposed at the same time.
+    """One stereo pair, both images exposed at the same time; or the image of the one camera.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class StereoFrame:
         Middle of the exposure on the cameras' clock, integer ns.
     left, right
         Grey images (height, width) of `cam0` and `cam1`, uint8, as they come: not undistorted, not
-        rectified.
+        rectified. A monocular rig has no `right` one.
     left_mask, right_mask
         Images (height, width); from pixels where they are not zero, nothing is taken.
     missing
@@ -50,7 +51,7 @@ class StereoFrame:
 
     timestamp_ns: int
     left: Image
-    right: Image
+    right: Image | None = None
     left_mask: Image | None = None
     right_mask: Image | None = None
     missing: tuple[int, ...] = ()
@@ -68,6 +69,13 @@ class Picture(StrEnum):
     FLAT = "flat"
     REPEATED = "repeated"
     TORN = "torn"
+
+    @property
+    def pair(self) -> tuple[Image, Image]:
+        """Both images; raises `OvmotError` where there is only one."""
+        if self.right is None:
+            raise OvmotError(f"frame {self.timestamp_ns}: one image where two were expected")
+        return self.left, self.right
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +185,12 @@ class FrontendFrame:
 
     def __len__(self) -> int:
         return len(self.feature_id)
+
+
+def no_features(timestamp_ns: int) -> FrontendFrame:
+    """A frame in which nothing is seen."""
+    ids, nothing = np.empty(0, dtype=np.int64), np.empty((0, 4))
+    return FrontendFrame(timestamp_ns, ids, nothing, nothing, ids, ids > 0)
 
 
 @dataclass(frozen=True, slots=True)

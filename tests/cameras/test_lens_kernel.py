@@ -14,6 +14,9 @@ COEFFICIENTS = {
     "none": ([],),
     "radtan": ([-0.2, 0.05, 1e-3, -5e-4], [-0.2, 0.05, 1e-3, -5e-4, 0.01]),
     "equidistant": ([0.02, -0.01, 0.004, -0.001],),
+    "omni": ([1.7], [0.9, -0.1, 0.02, 1e-3, -5e-4]),
+    "eucm": ([0.63, 1.1],),
+    "ds": ([-0.2, 0.59], [-0.9, 0.1]),
 }
 CAMERAS = [(name, d) for name in CAMERA_MODELS for d in COEFFICIENTS[name]]
 

@@ -16,6 +16,13 @@ CASES = {
     "radtan, pincushion": ("radtan", [0.12, 0.03, -1e-3, 2e-3, 0.01], 1.0),
     "equidistant": ("equidistant", [-0.0072, 0.0065, -0.0101, 0.0032], 1.5),
     "equidistant, plain": ("equidistant", [0.0, 0.0, 0.0, 0.0], 5.0),
+    "omni, a mirror": ("omni", [1.2, -0.19, 0.12, 1e-3, -7e-4], 1.5),
+    "omni, sphere alone": ("omni", [2.1], 5.0),
+    "omni, a pinhole": ("omni", [0.0, -0.28, 0.07, 2e-4, 2e-5], 0.75),
+    "eucm, BF2M2020S23": ("eucm", [0.5704, 1.0956], 5.0),
+    "eucm, a pinhole": ("eucm", [0.0, 1.0], 1.5),
+    "ds, TUM-VI": ("ds", [-0.1806, 0.5930], 5.0),
+    "ds, positive xi": ("ds", [0.4, 0.7], 5.0),
 }
 SHAPES = [(), (1,), (4,), (2, 3)]
 
@@ -46,7 +53,7 @@ def test_near_the_centre_a_camera_model_is_linear(case: str, radius: float) -> N
     xy = radius * np.array([[0.6, -0.8], [1.0, 0.0], [0.0, 0.0]])
     bound = 10.0 * radius**2 + 1e-15 * radius + 1e-16
     J0, _ = model.distort_jacobian(np.zeros(2), coefficients)
-    scale = J0[0, 0]
+    scale = model.scale(coefficients)
     np.testing.assert_allclose(J0, scale * np.eye(2), rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(model.distort(xy, coefficients), scale * xy, rtol=0.0, atol=bound)
     undistorted = model.undistort(scale * xy, coefficients)

@@ -122,7 +122,20 @@ def test_what_ovmot_always_does_is_named_when_asked_not_to(key: str, config: Pat
 def test_cameras(config: Path, count: int, stereo: str, cameras: str) -> None:
     edit(config, "max_cameras: 2", f"max_cameras: {count}")
     edit(config, "use_stereo: true", f"use_stereo: {stereo}")
-    assert load_run_config(config).settings.tracker.cameras == cameras
+    given = load_run_config(config)
+    assert given.settings.tracker.cameras == cameras
+    assert given.calibration is not None
+    assert given.calibration.rig.n_cameras == count
+
+
+def test_a_chain_of_one_camera(config: Path) -> None:
+    edit(config, "max_cameras: 2", "max_cameras: 1")
+    chain = config.with_name("kalibr_imucam_chain.yaml")
+    chain.write_text(chain.read_text().split("\ncam1:")[0])
+    given = load_run_config(config)
+    assert given.calibration is not None
+    assert given.calibration.rig.n_cameras == 1
+    assert "cam0" not in named(given.warnings[0])
 
 
 def test_older_keys_and_other_integrations(config: Path) -> None:

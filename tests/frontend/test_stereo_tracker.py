@@ -171,7 +171,7 @@ def test_a_body_that_moves_by_itself_is_tracked(painted_rig: StereoRig, painted_
 
     def falling(i: int) -> StereoFrame:
         pair = painted_pair(10**8 * i, STEP_M * i, 0.0)
-        left, right = pair.left.copy(), pair.right.copy()
+        left, right = (image.copy() for image in pair.pair)
         first = 50 + 10 * i
         left[first : first + 60, 120:200] = still.left[30:90, 20:100]
         right[first : first + 60, 110:190] = still.left[30:90, 20:100]
@@ -218,9 +218,9 @@ def test_a_rig_displaced_diagonally_is_matched(painted_rig: StereoRig, painted_p
     low[2, 3] -= 0.2
     rig = replace(painted_rig, T_imu_cam1=low)
     flat = painted_pair(0, 0.0)
-    right = flat.right.copy()
-    right[:112] = np.roll(flat.right, -5, axis=0)[:112]  # 200 · 0.2 / 8 px for the upper wall
-    right[112:] = np.roll(flat.right, -8, axis=0)[112:]  # 200 · 0.2 / 5 px for the lower one
+    right = flat.pair[1].copy()
+    right[:112] = np.roll(flat.pair[1], -5, axis=0)[:112]  # 200 · 0.2 / 8 px for the upper wall
+    right[112:] = np.roll(flat.pair[1], -8, axis=0)[112:]  # 200 · 0.2 / 5 px for the lower one
     with tracker_of(rig) as tracker:
         seen, matches = tracker.track(StereoFrame(0, flat.left, right), np.eye(4), no_feedback(rig))
     slope = matches.line[:, 0] / matches.line[:, 1]
@@ -281,7 +281,7 @@ def test_wrong_matches_of_any_kind_are_rejected(
 ) -> None:
     """The search in the right image itself gives wrong points: every fifth one, 9 px off."""
     frames = [painted_pair(10**8 * i, STEP_M * i) for i in range(4)]
-    rights = [build_pyramid(frame.right, TRACKER).levels[0] for frame in frames]
+    rights = [build_pyramid(frame.pair[1], TRACKER).levels[0] for frame in frames]
 
     def lying(sought: Sought, view: View, start: FloatArray, *rest: object) -> Found:
         now = find_features(sought, view, start, *rest)  # type: ignore[arg-type]

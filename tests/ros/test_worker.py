@@ -55,7 +55,7 @@ def feed(data: Path, intake: Intake) -> None:
         else:
             assert isinstance(event, StereoFrame)
             stamp = event.timestamp_ns
-            for side, pixels in (("left", event.left), ("right", event.right)):
+            for side, pixels in zip(("left", "right"), event.pair, strict=True):
                 message = filled(typestore(2), image(stamp, "cam", pixels))
                 intake.put_image(side, stamp, message)  # type: ignore[arg-type]
 

@@ -59,7 +59,7 @@ def test_another_rig_sees_its_own_images() -> None:
     sequence = simulate("demo", duration_s=0.1, rig=rig)
     assert sequence.rig is rig
     (frame,) = (event for event in sequence if isinstance(event, StereoFrame))
-    assert frame.left.shape == frame.right.shape == (64, 96)
+    assert frame.left.shape == frame.pair[1].shape == (64, 96)
     assert (frame.left != frame.right).mean() > 0.3
 
 

@@ -17,7 +17,8 @@ class Camera:
     """A calibrated camera.
 
     `intrinsics` (5,) is fx, fy, cx, cy, skew in pixels: u = fx·x + skew·y + cx, v = fy·y + cy,
-    where (x, y) are distorted normalized coordinates. `distortion` (k,) belongs to `model`.
+    where (x, y) are distorted normalized coordinates. `distortion` (k,) belongs to `model`. `fx`
+    and `fy` of the camera itself are pixels per radian on its axis, for models that scale there.
     Raises `CalibrationError` when these can not be a camera's.
     """
 
@@ -31,10 +32,10 @@ class Camera:
         if self.intrinsics.shape != (5,) or not np.all(np.isfinite(self.intrinsics)):
             raise CalibrationError("camera intrinsics must be five finite numbers")
         sizes = self.width, self.height
-        if min(sizes) <= 0 or max(sizes) > _MOST_PIXELS or min(self.fx, self.fy) <= 0.0:
+        if min(sizes) <= 0 or max(sizes) > _MOST_PIXELS or self.intrinsics[:2].min() <= 0.0:
             raise CalibrationError(
                 f"impossible camera: {self.width}x{self.height} pixels,"
-                f" focal lengths {self.fx:g}, {self.fy:g}"
+                f" focal lengths {self.intrinsics[0]:g}, {self.intrinsics[1]:g}"
             )
         if len(self.distortion) not in self.model.n_coefficients:
             raise CalibrationError(
@@ -83,11 +84,13 @@ class Camera:
 
     @property
     def fx(self) -> float:
-        return float(self.intrinsics[0])
+        """Pixels per radian along u where the optical axis meets the image."""
+        return float(self.intrinsics[0]) * self.model.scale(self.distortion)
 
     @property
     def fy(self) -> float:
-        return float(self.intrinsics[1])
+        """Pixels per radian along v where the optical axis meets the image."""
+        return float(self.intrinsics[1]) * self.model.scale(self.distortion)
 
     @property
     def matrix(self) -> FloatArray:
@@ -110,8 +113,7 @@ class Camera:
 
     def denormalize_jacobian(self, xy: FloatArray) -> FloatArray:
         """∂pixel/∂xy (..., 2, 2) at undistorted normalized coordinates (..., 2)."""
-        A = np.array([[self.fx, self.intrinsics[4]], [0.0, self.fy]])
-        J: FloatArray = A @ self.model.distort_jacobian(xy, self.distortion)[0]
+        J: FloatArray = self.matrix[:2, :2] @ self.model.distort_jacobian(xy, self.distortion)[0]
         return J
 
     def project(self, points_cam: FloatArray) -> FloatArray:

@@ -9,15 +9,40 @@ import math
 import numpy as np
 
 from ovmot.cameras.models.radtan_kernel import distort as distort_radtan
+from ovmot.cameras.models.radtan_kernel import distort_by as distort_radtan_by
 from ovmot.cameras.models.radtan_kernel import distort_jacobian as distort_radtan_jacobian
+from ovmot.cameras.models.radtan_kernel import jacobian_by as radtan_jacobian_by
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import part
+from ovmot.kernels.cache import inlined_part, part
 
-LENSES = ("none", "radtan", "equidistant")
-_RADTAN, _EQUIDISTANT = 1, 2
+LENSES = ("none", "radtan", "equidistant", "omni", "eucm", "ds")
+_RADTAN, _EQUIDISTANT, _OMNI, _EUCM, _DS = 1, 2, 3, 4, 5
 
 Four = tuple[float, float, float, float]
+
+
+@inlined_part
+def _denominator(lens: int, d: FloatArray, square: float) -> tuple[float, float]:
+    """D of a model with m = (x, y) / D, and its derivative by `square` = x² + y².
+
+    The formulas are those of the models' own files.
+    """
+    if lens == _OMNI:
+        d1 = math.sqrt(square + 1.0)
+        return 1.0 + d[0] * d1, 0.5 * d[0] / d1
+    if lens == _EUCM:
+        alpha, beta = d[0], d[1]
+        rho = math.sqrt(beta * square + 1.0)
+        return alpha * rho + 1.0 - alpha, 0.5 * alpha * beta / rho
+    xi, alpha = d[0], d[1]
+    d1 = math.sqrt(square + 1.0)
+    e = xi * d1 + 1.0
+    d2 = math.sqrt(square + e * e)
+    w1 = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
+    slope = 0.5 * xi / d1
+    D = alpha * d2 + (1.0 - alpha) * e if e > -w1 * d2 else math.nan
+    return D, alpha * (0.5 + e * slope) / d2 + (1.0 - alpha) * slope
 
 
 @part
@@ -33,6 +58,11 @@ def distort(lens: int, d: FloatArray, x: float, y: float) -> tuple[float, float]
         t2 = theta * theta
         scale = theta * (1.0 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3])))) / r
         return x * scale, y * scale
+    if lens >= _OMNI:
+        D, _ = _denominator(lens, d, x * x + y * y)
+        if lens == _OMNI:
+            return distort_radtan_by(d[1], d[2], d[3], d[4], 0.0, x / D, y / D)
+        return x / D, y / D
     return x, y
 
 
@@ -51,6 +81,14 @@ def distort_jacobian(lens: int, d: FloatArray, x: float, y: float) -> Four:
         slope = 1.0 + t2 * (3.0 * d[0] + t2 * (5.0 * d[1] + t2 * (7.0 * d[2] + t2 * 9.0 * d[3])))
         along = (slope / (1.0 + r * r) - scale) / (r * r)
         return scale + along * x * x, along * x * y, along * x * y, scale + along * y * y
+    if lens >= _OMNI:
+        D, slope = _denominator(lens, d, x * x + y * y)
+        along = -2.0 * slope / (D * D)
+        a, b, c = 1.0 / D + along * x * x, along * x * y, 1.0 / D + along * y * y
+        if lens == _OMNI:
+            e, f, g, h = radtan_jacobian_by(d[1], d[2], d[3], d[4], 0.0, x / D, y / D)
+            return e * a + f * b, e * b + f * c, g * a + h * b, g * b + h * c
+        return a, b, b, c
     return 1.0, 0.0, 0.0, 1.0
 
 

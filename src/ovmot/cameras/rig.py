@@ -1,4 +1,7 @@
-"""The stereo rig: two cameras, their poses on the IMU, and the clock between them."""
+"""The stereo rig: two cameras, their poses on the IMU, and the clock between them.
+
+A rig with one camera is `StereoRig.monocular`.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -11,6 +14,7 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 
 _WIDEST_M = 20.0
+_ASIDE_M = 0.1  # of the place of the right camera that a monocular rig does not have
 _MOST_OFFSET_S = 4e9  # stamps of this century and the offset together fit into 64 bits of ns
 
 
@@ -20,6 +24,8 @@ class StereoRig:
 
     `T_imu_cam0`, `T_imu_cam1` (4, 4) map camera points into the IMU frame, metres.
     `time_offset_s` is added to a camera stamp to give the IMU's time: t_imu = t_cam + offset.
+    `n_cameras` is 1 for a monocular rig: `cam1` and its pose are then placeholders, which keep the
+    arrays of both cameras their form; it has no images and sees nothing.
     Raises `CalibrationError` for matrices that are no rigid motions, a
     baseline that no rig has, or a time offset that no clock has.
     """
@@ -29,6 +35,7 @@ class StereoRig:
     T_imu_cam0: FloatArray
     T_imu_cam1: FloatArray
     time_offset_s: float = 0.0
+    n_cameras: int = 2
 
     def __post_init__(self) -> None:
         for name, T in (("T_imu_cam0", self.T_imu_cam0), ("T_imu_cam1", self.T_imu_cam1)):
@@ -62,6 +69,16 @@ class StereoRig:
         """Build from arrays or nested lists (4, 4); rounding is taken out of their rotations."""
         left, right = (np.array(T, dtype=np.float64) for T in (T_imu_cam0, T_imu_cam1))
         return cls(cam0, cam1, left, right, float(time_offset_s)).with_orthonormal_rotations()
+
+    @classmethod
+    def monocular(
+        cls, cam0: Camera, T_imu_cam0: ArrayLike, time_offset_s: float = 0.0
+    ) -> "StereoRig":
+        """The rig of one camera; arguments as for `make`."""
+        T = np.array(T_imu_cam0, dtype=np.float64)
+        aside = se3.make(np.eye(3), np.array([_ASIDE_M, 0.0, 0.0]))
+        rig = cls(cam0, cam0, T, T @ aside, float(time_offset_s), n_cameras=1)
+        return rig.with_orthonormal_rotations()
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
@@ -121,8 +138,8 @@ def rectified(rig: StereoRig) -> StereoRig:
     y = np.cross(rig.T_imu_cam0[:3, 2], x)
     y /= np.linalg.norm(y)
     R_imu_rect = np.stack([x, y, np.cross(x, y)], axis=-1)
-    cam0, (fx, _, cx, cy, _) = rig.cam0, rig.cam0.intrinsics
-    camera = Camera.make((cam0.width, cam0.height), (fx, fx), (cx, cy))
+    cam0, (cx, cy) = rig.cam0, rig.cam0.intrinsics[2:4]
+    camera = Camera.make((cam0.width, cam0.height), (cam0.fx, cam0.fx), (cx, cy))
     poses = se3.make(R_imu_rect, p0), se3.make(R_imu_rect, p1)
     return replace(rig, cam0=camera, cam1=camera, T_imu_cam0=poses[0], T_imu_cam1=poses[1])
 

@@ -144,7 +144,7 @@ def run(
     ovmot.prepare_process()
     first_use = nothing_is_compiled()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    given = ovmot.load_run_config(config, overrides)
+    given = ovmot.load_run_config(config, overrides, left, right)
     settings = given.settings
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(

@@ -14,13 +14,22 @@ SequenceOption = Annotated[
     str | None, typer.Option(help="Which sequence, where the folder holds several.")
 ]
 CalibrationOption = Annotated[
-    Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
+    Path | None,
+    typer.Option(help="Kalibr chain or rig file of VINS, in place of the data's calibration."),
 ]
 LeftOption = Annotated[
-    str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's left camera; else found.")
+    str | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Topic of a bag's left camera, or its name in a Kalibr chain; else found.",
+    ),
 ]
 RightOption = Annotated[
-    str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's right camera; else found.")
+    str | None,
+    typer.Option(
+        metavar="TOPIC",
+        help="Topic of a bag's right camera, or its name in a Kalibr chain; else found.",
+    ),
 ]
 ImuOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's IMU; else found.")

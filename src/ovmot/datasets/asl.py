@@ -6,10 +6,10 @@ import numpy as np
 
 from ovmot.datasets.calibration import (
     Calibration,
+    calibrated_camera,
     load_calibration_yaml,
     make_rig,
     read_imu_noise,
-    read_pinhole,
 )
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise
 from ovmot.datasets.frames import (
@@ -44,10 +44,18 @@ def sequence_folder(mav: Path) -> Path:
     return mav.resolve().parent if mav.resolve().name == "mav0" else mav.resolve()
 
 
-def asl_listing(mav: Path, findings: Findings) -> StereoListing:
-    """The stereo pairs of `cam0` and `cam1`; raises `DatasetError` where there are none."""
+def asl_listing(
+    mav: Path, findings: Findings, cameras: tuple[str, ...] = ("cam0", "cam1")
+) -> StereoListing:
+    """The stereo pairs of two folders, or the images of one; raises `DatasetError` where there are
+    none."""
+    if len(cameras) == 1:
+        (folder,) = cameras
+        stamps, images = _images(mav / folder, findings)
+        note_missing_images(stamps, images.keys(), mav / folder / "data.csv", findings)
+        return StereoListing(np.array(sorted(images)), tuple(images[s] for s in sorted(images)), ())
     (listed_left, left), (listed_right, right) = (
-        _images(mav / camera, findings) for camera in ("cam0", "cam1")
+        _images(mav / camera, findings) for camera in cameras
     )
     stamps, found = listed_left | listed_right, left.keys() | right.keys()
     note_missing_images(stamps, found, mav / "cam0" / "data.csv", findings)
@@ -68,8 +76,15 @@ def sensor_calibration(mav: Path, findings: Findings) -> Calibration:
     imu = mav / "imu0" / "sensor.yaml"
     if not imu.exists():
         note_no_imu_noise(imu, findings)
-    cameras = mav / "cam0" / "sensor.yaml", mav / "cam1" / "sensor.yaml"
-    return read_euroc(*cameras, imu if imu.exists() else None)
+    right = mav / "cam1"
+    if not right.exists():
+        text = f"{mav}: holds no cam1: run with one camera"
+        findings.note("one_camera", 1, text)
+    return read_euroc(
+        mav / "cam0" / "sensor.yaml",
+        right / "sensor.yaml" if right.exists() else None,
+        imu if imu.exists() else None,
+    )
 
 
 def _images(camera: Path, findings: Findings) -> tuple[set[int], dict[int, Path]]:
@@ -83,23 +98,23 @@ def _images(camera: Path, findings: Findings) -> tuple[set[int], dict[int, Path]
     return set(stamps), present_images(stamps, camera / "data", listed)
 
 
-def read_euroc(cam0: Path, cam1: Path, imu: Path | None) -> Calibration:
-    """Rig and IMU noise of the `sensor.yaml` files of two cameras and, if there, of the IMU.
+def read_euroc(cam0: Path, cam1: Path | None, imu: Path | None) -> Calibration:
+    """Rig and IMU noise of the `sensor.yaml` files of two cameras, or of one, and, if there, of the
+    IMU.
 
     `T_BS` maps sensor points into the body frame; without an IMU file the body is the IMU.
     Raises `CalibrationError` with file, key and remedy.
     """
-    left, right = load_calibration_yaml(cam0), load_calibration_yaml(cam1)
-    cameras = tuple(read_pinhole(node, "distortion_coefficients") for node in (left, right))
-    T_body_cam0, T_body_cam1 = left.transform("T_BS"), right.transform("T_BS")
-    if imu is None:
-        return Calibration(
-            make_rig(cam1, (cameras[0], cameras[1]), (T_body_cam0, T_body_cam1)), None
-        )
-    node = load_calibration_yaml(imu)
-    T_imu_body = se3.inverse(node.transform("T_BS"))
-    poses = T_imu_body @ T_body_cam0, T_imu_body @ T_body_cam1
-    return Calibration(make_rig(cam1, (cameras[0], cameras[1]), poses), read_imu_noise(node))
+    files = (cam0,) if cam1 is None else (cam0, cam1)
+    nodes = [load_calibration_yaml(file) for file in files]
+    cameras = [calibrated_camera(node, "distortion_coefficients") for node in nodes]
+    poses, noise = [node.transform("T_BS") for node in nodes], None
+    if imu is not None:
+        node = load_calibration_yaml(imu)
+        T_imu_body = se3.inverse(node.transform("T_BS"))
+        poses, noise = [T_imu_body @ T for T in poses], read_imu_noise(node)
+    names = ("cam0",) if cam1 is None else ("cam0", "cam1")
+    return Calibration(make_rig(files[-1], cameras, poses), noise, names)
 
 
 _IMU_HEADER = (

@@ -1,7 +1,7 @@
 """What calibration files have in common: safe YAML, checked numbers, errors that name the key."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,15 @@ MODEL_NAMES = {
 }
 """Names of camera models of Kalibr, EuRoC and ROS, and our names of them."""
 
+PROJECTIONS: dict[str, dict[str, tuple[float, float]]] = {
+    "pinhole": {},
+    "omni": {"xi": (0.0, np.inf)},
+    "eucm": {"alpha": (0.0, 1.0), "beta": (0.0, np.inf)},
+    "ds": {"xi": (-0.99, 1.0), "alpha": (0.0, 1.0)},  # -1 puts the axis at infinity
+}
+"""Kalibr's camera models; what stands before the focal lengths in their `intrinsics`, and the least
+and the greatest value of each."""
+
 NOISE_KEYS = {
     "gyro": "gyroscope_noise_density",
     "gyro_walk": "gyroscope_random_walk",
@@ -40,10 +49,23 @@ _FIELD = 0.003, 1e4  # tangent of the widest ray: 0.2 and 89.99 degrees
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A stereo rig and, where the files say it, the noise of its IMU."""
+    """A rig and, where the files say it, the noise of its IMU.
+
+    `cameras`: the names of its cameras among those of the files, left first; `topics`: their image
+    topics, where the files say them. `note` tells the user
+    which were taken, where that could be doubted.
+    """
 
     rig: StereoRig
     imu_noise: ImuNoise | None
+    cameras: tuple[str, ...] = ("cam0", "cam1")
+    topics: tuple[str | None, ...] = (None, None)
+    note: str | None = None
+
+    def of_left_camera(self) -> "Calibration":
+        """The same with the left camera alone."""
+        rig = StereoRig.monocular(self.rig.cam0, self.rig.T_imu_cam0, self.rig.time_offset_s)
+        return replace(self, rig=rig, cameras=self.cameras[:1], topics=self.topics[:1], note=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,21 +168,55 @@ def load_calibration_yaml(path: Path) -> CalibrationNode:
     return CalibrationNode(path, "", data)
 
 
-def read_pinhole(node: CalibrationNode, coefficients_key: str) -> Camera:
-    """The camera of a Kalibr or EuRoC mapping; their keys differ in the coefficients' name only."""
-    model = str(node.data.get("camera_model", "pinhole"))
-    if model != "pinhole":
-        raise node.fail("camera_model", f"'{model}' is not known", "calibrate with 'pinhole'")
-    distortion_model = node.camera_model("distortion_model")
-    distortion = node.coefficients(coefficients_key) if distortion_model != "none" else np.empty(0)
-    fx, fy, cx, cy = node.numbers("intrinsics", (4,))
+def calibrated_camera(node: CalibrationNode, coefficients_key: str) -> Camera:
+    """The camera of a Kalibr or EuRoC mapping; their keys differ in the coefficients' name only.
+
+    Of a lens beside its projection, `omni` has `radtan`, the other wide ones have none. Raises
+    `CalibrationError` with the key.
+    """
+    projection = str(node.data.get("camera_model", "pinhole"))
+    if projection not in PROJECTIONS:
+        known = f"known: {', '.join(PROJECTIONS)}"
+        raise node.fail("camera_model", f"'{projection}' is not known", known)
+    bounds = PROJECTIONS[projection]
+    intrinsics = node.numbers("intrinsics", (len(bounds) + 4,))
+    first, (fx, fy, cx, cy) = intrinsics[:-4], intrinsics[-4:]
+    for (name, (low, high)), value in zip(bounds.items(), first, strict=True):
+        if not low <= value <= high:
+            limits = f"at least {low:g}" if np.isinf(high) else f"{low:g} to {high:g}"
+            problem = f"{name} of '{projection}' is {value:g} ({limits})"
+            raise node.fail("intrinsics", problem)
+    wide = bool(bounds)
+    lens = "none" if wide and not node.has("distortion_model") else ""
+    lens = lens or node.camera_model("distortion_model")
+    if wide and lens not in (("none", "radtan") if projection == "omni" else ("none",)):
+        problem = f"'{projection}' with '{lens}' is not known"
+        raise node.fail("distortion_model", problem, f"calibrate with '{projection}-none'")
+    distortion = node.coefficients(coefficients_key) if lens != "none" else np.empty(0)
     size = node.size("resolution")
     if min(fx, fy) <= 0.0:
         raise node.fail("intrinsics", f"focal lengths {fx:g}, {fy:g} are not positive")
+    model = projection if wide else lens
     try:
-        return Camera.make(size, (fx, fy), (cx, cy), distortion_model, distortion)
+        return Camera.make(size, (fx, fy), (cx, cy), model, np.concatenate([first, distortion]))
     except CalibrationError as error:
         raise node.fail(coefficients_key, str(error)) from None
+
+
+def kalibr_keys(camera: Camera) -> dict[str, Any]:
+    """`camera_model`, `intrinsics`, `distortion_model` and `distortion_coeffs` of a camera, as
+    `calibrated_camera` reads them."""
+    name, coefficients = camera.model.name, camera.distortion.tolist()
+    projection = name if name in PROJECTIONS else "pinhole"
+    n_first = len(PROJECTIONS[projection])
+    first, lens = coefficients[:n_first], coefficients[n_first:]
+    none_or_radtan = "radtan" if lens else "none"
+    return {
+        "camera_model": projection,
+        "intrinsics": [*first, *camera.intrinsics[:4].tolist()],
+        "distortion_model": name if projection == "pinhole" else none_or_radtan,
+        "distortion_coeffs": lens,
+    }
 
 
 def read_imu_noise(node: CalibrationNode) -> ImuNoise:
@@ -176,16 +232,20 @@ def read_imu_noise(node: CalibrationNode) -> ImuNoise:
 
 def make_rig(
     path: Path,
-    cameras: tuple[Camera, Camera],
-    T_imu_cam: tuple[FloatArray, FloatArray],
+    cameras: Sequence[Camera],
+    T_imu_cam: Sequence[FloatArray],
     time_offset_s: float = 0.0,
 ) -> StereoRig:
-    """The rig of two cameras and their poses; an impossible one is blamed on `path`."""
+    """The rig of two cameras, or of one, and their poses; an impossible one is blamed on `path`."""
     try:
-        rig = StereoRig(*cameras, *T_imu_cam, time_offset_s)
+        if len(cameras) == 1:
+            rig = StereoRig.monocular(cameras[0], T_imu_cam[0], time_offset_s)
+        else:
+            (left, right), (T_imu_left, T_imu_right) = cameras, T_imu_cam
+            rig = StereoRig(left, right, T_imu_left, T_imu_right, time_offset_s)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}; correct the file") from None
-    for name, camera in zip(("cam0", "cam1"), cameras, strict=True):
+    for name, camera in zip(("cam0", "cam1"), cameras, strict=False):
         if not _makes_an_image(camera):
             size = f"{camera.width}x{camera.height} pixels"
             problem = f"{name}: no camera makes an image of {size} by these numbers"

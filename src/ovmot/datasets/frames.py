@@ -15,7 +15,8 @@ from ovmot.geometry.arrays import IntArray
 
 @dataclass(frozen=True, slots=True)
 class StereoListing:
-    """Stereo pairs in time order: stamps (M,) in ns and the image of each side."""
+    """Stereo pairs in time order: stamps (M,) in ns and the image of each side; of one camera the
+    left ones alone."""
 
     frame_ns: IntArray
     left_paths: tuple[Path, ...]

@@ -1,6 +1,7 @@
 """Calibration files of Kalibr and of OpenVINS (`kalibr_imucam_chain.yaml`), read and written."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,11 @@ from ovmot.datasets.calibration import (
     NOISE_KEYS,
     Calibration,
     CalibrationNode,
+    calibrated_camera,
+    kalibr_keys,
     load_calibration_yaml,
     make_rig,
     read_imu_noise,
-    read_pinhole,
 )
 from ovmot.errors import InputError
 from ovmot.geometry import se3
@@ -27,14 +29,14 @@ IMU_FILE = "kalibr_imu_chain.yaml"
 _MAX_CLOCK_DIFFERENCE_S = 0.002
 
 
-def read_kalibr(path: Path) -> Calibration:
+def read_kalibr(path: Path, left: str | None = None, right: str | None = None) -> Calibration:
     """Rig and IMU noise of a chain file, or of a folder that holds `kalibr_imucam_chain.yaml`.
 
-    The noise comes from `kalibr_imu_chain.yaml` beside it and is None without that file.
-    Raises `CalibrationError` with file, key and remedy.
+    The noise comes from `kalibr_imu_chain.yaml` beside it and is None without that file. `left` and
+    `right`: see `read_kalibr_rig`. Raises `CalibrationError` with file, key and remedy.
     """
     chain = _chain_file(path)
-    return Calibration(read_kalibr_rig(chain), _noise_beside(chain))
+    return replace(read_kalibr_cameras(chain, left, right), imu_noise=_noise_beside(chain))
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +49,10 @@ class Mount:
 
 
 def is_mount(path: Path) -> bool:
-    """Does a chain hold `cam0` alone: where it is, but no rig? Raises `CalibrationError`."""
-    return not load_calibration_yaml(_chain_file(path)).has("cam1")
+    """Does a chain say of `cam0` alone where it is, and not what it is? Raises
+    `CalibrationError`."""
+    chain = load_calibration_yaml(_chain_file(path))
+    return not chain.has("cam1") and chain.has("cam0") and not chain.child("cam0").has("intrinsics")
 
 
 def read_kalibr_mount(path: Path) -> Mount:
@@ -59,16 +63,82 @@ def read_kalibr_mount(path: Path) -> Mount:
 
 
 def read_kalibr_rig(path: Path) -> StereoRig:
-    """The rig of `cam0` and `cam1`, placed by `T_cam_imu`, `T_imu_cam` or `T_cn_cnm1`.
+    """The rig of a chain, without noise; see `read_kalibr_cameras`."""
+    return read_kalibr_cameras(path).rig
 
+
+def read_kalibr_cameras(
+    path: Path, left: str | None = None, right: str | None = None
+) -> Calibration:
+    """The rig of a chain's cameras, placed by `T_cam_imu`, `T_imu_cam` or `T_cn_cnm1`; no noise.
+
+    `left`, `right`: which cameras, by name or `rostopic`; else the first one, and the next one or
+    that which the first names in `cam_overlaps`. A chain of one makes a rig of one.
     `timeshift_cam_imu` is Kalibr's: t_imu = t_cam + shift, seconds, absent means 0.
     """
-    node = load_calibration_yaml(path)
-    cam0, cam1 = node.child("cam0"), node.child("cam1")
-    T_imu_cam0 = _pose_on_imu(cam0, None)
-    T_imu_cam1 = _pose_on_imu(cam1, T_imu_cam0)
-    cameras = read_pinhole(cam0, "distortion_coeffs"), read_pinhole(cam1, "distortion_coeffs")
-    return make_rig(path, cameras, (T_imu_cam0, T_imu_cam1), _time_offset(cam0, cam1))
+    chain = load_calibration_yaml(path)
+    chain.child("cam0")  # which may be missing
+    names = _camera_names(chain)
+    chosen = _chosen(chain, names, left, right)
+    nodes = [chain.child(name) for name in chosen]
+    poses = [_pose_in_chain(chain, names, name) for name in chosen]
+    cameras = [calibrated_camera(node, "distortion_coeffs") for node in nodes]
+    rig = make_rig(path, cameras, poses, _time_offset(nodes[0], nodes[-1]))
+    note = None
+    if len(names) > 2:
+        note = (
+            f"{path}: {len(names)} cameras, of which {chosen[0]} is taken as the left and"
+            f" {chosen[1]} as the right one (--left, --right)"
+        )
+    topics = [str(node.value("rostopic")) if node.has("rostopic") else None for node in nodes]
+    return Calibration(rig, None, chosen, tuple(topics), note)
+
+
+def _camera_names(chain: CalibrationNode) -> list[str]:
+    """`cam0`, `cam1`, ... so far as they go."""
+    names: list[str] = []
+    while chain.has(f"cam{len(names)}"):
+        names.append(f"cam{len(names)}")
+    if any(_is_camera(key) and key not in names for key in chain.data):
+        chain.child(f"cam{len(names)}")  # which says that it is missing
+    return names
+
+
+def _is_camera(name: object) -> bool:
+    return isinstance(name, str) and name.startswith("cam") and name[3:].isdecimal()
+
+
+def _chosen(
+    chain: CalibrationNode, names: Sequence[str], left: str | None, right: str | None
+) -> tuple[str, ...]:
+    """The names of the cameras to take: two, or the one that there is."""
+    by_topic = {str(chain.child(name).data.get("rostopic")).strip("/"): name for name in names}
+
+    def named(asked: str | None) -> str | None:
+        if _is_camera(asked) and asked not in names:
+            chain.child(str(asked))  # which says that it is missing
+        return asked if asked in names else by_topic.get((asked or "").strip("/"))
+
+    if len(names) == 1:
+        return tuple(names)
+    second = named(right)
+    first = named(left) or next(name for name in names if name != second)
+    if second is None:
+        overlaps = chain.child(first).data.get("cam_overlaps")
+        beside = [f"cam{k}" for k in overlaps] if isinstance(overlaps, list) else []
+        after = [*names[names.index(first) + 1 :], *names]
+        second = next(name for name in (*beside, *after) if name in names and name != first)
+    if first == second:
+        raise chain.fail(first, "this camera is both left and right", "name two cameras")
+    return first, second
+
+
+def _pose_in_chain(chain: CalibrationNode, names: Sequence[str], name: str) -> FloatArray:
+    """T_imu_cam of a camera, through those before it where it says no more."""
+    camera, k = chain.child(name), names.index(name)
+    own = camera.has("T_imu_cam") or camera.has("T_cam_imu") or not camera.has("T_cn_cnm1")
+    before = None if own or k == 0 else _pose_in_chain(chain, names, names[k - 1])
+    return _pose_on_imu(camera, before)
 
 
 def read_kalibr_noise(path: Path) -> ImuNoise:
@@ -131,10 +201,7 @@ def write_chain(path: Path, rig: StereoRig) -> None:
         values[name] = {
             "T_cam_imu": se3.inverse(T_imu_cam).tolist(),
             "cam_overlaps": [other],
-            "camera_model": "pinhole",
-            "distortion_coeffs": camera.distortion.tolist(),
-            "distortion_model": camera.model.name,
-            "intrinsics": camera.intrinsics[:4].tolist(),
+            **kalibr_keys(camera),
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",
             "timeshift_cam_imu": rig.time_offset_s,

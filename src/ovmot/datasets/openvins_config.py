@@ -5,7 +5,7 @@ warning. docs/data.md has the table. Keys: the public documentation of OpenVINS,
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from ovmot.datasets.calibration import (
     CalibrationNode,
     load_calibration_yaml,
 )
-from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.kalibr import read_kalibr_cameras, read_kalibr_noise
 from ovmot.errors import InputError
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings, make_settings, read_yaml_mapping
@@ -108,9 +108,15 @@ class RunConfig:
     warnings: tuple[str, ...] = ()
 
 
-def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunConfig:
+def load_run_config(
+    file: StrPath | None,
+    overrides: Sequence[str] = (),
+    left: str | None = None,
+    right: str | None = None,
+) -> RunConfig:
     """Settings of ours or of OpenVINS, recognised by the keys; `overrides` are `section.key=value`.
 
+    `left`, `right`: which cameras of OpenVINS's chain, where it has more than two.
     Raises `InputError` as `load_settings` does, and for chains that are missing or broken.
     """
     if file is None:
@@ -119,7 +125,7 @@ def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunC
     data = read_yaml_mapping(path)
     if not is_openvins(data):
         return RunConfig(load_settings(path, overrides))
-    calibration, unused_in_chains = _read_chains(path, data)
+    calibration, unused_in_chains = _read_chains(path, data, left, right)
     values, unused = translate(path, data)
     settings = make_settings(values, overrides, f"{path} (OpenVINS)")
     masks = _mask_files(path, data)
@@ -175,9 +181,10 @@ _Mapped = tuple[dict[str, Any], set[str]]
 
 
 def _cameras(data: Mapping[str, Any]) -> _Mapped:
-    """One camera is the left one; two are matched, or each goes by itself."""
+    """One camera is the left one; two are matched, or each goes by itself; of more, two are taken,
+    as the note of their calibration says."""
     count, stereo = data.get("max_cameras", 2), data.get("use_stereo", True)
-    if count not in (1, 2):
+    if not isinstance(count, int) or count < 1:
         return {}, set()
     matched = "stereo" if stereo else "each"
     return {"tracker.cameras": "left" if count == 1 else matched}, {"max_cameras", "use_stereo"}
@@ -220,26 +227,28 @@ def _mask_files(path: Path, data: Mapping[str, Any]) -> tuple[Path | None, Path 
 
 
 def _read_chains(
-    path: Path, data: Mapping[str, Any]
+    path: Path, data: Mapping[str, Any], left: str | None, right: str | None
 ) -> tuple[Calibration | None, list[tuple[Path, list[str]]]]:
     """The calibration of the chains, and the keys in each of them that have no effect."""
     if "relative_config_imucam" not in data:
         return None, []
     chain = path.parent / str(data["relative_config_imucam"])
-    unused = [(chain, _unused_of_cameras(load_calibration_yaml(chain)))]
-    noise = None
+    calibration, noise = read_kalibr_cameras(chain, left, right), None
+    if data.get("max_cameras") == 1:
+        calibration = calibration.of_left_camera()
+    unused = [(chain, _unused_of_cameras(load_calibration_yaml(chain), calibration.cameras))]
     if "relative_config_imu" in data:
         file = path.parent / str(data["relative_config_imu"])
         noise = read_kalibr_noise(file)
         unused.append((file, _unused_of_imu(load_calibration_yaml(file))))
-    return Calibration(read_kalibr_rig(chain), noise), unused
+    return replace(calibration, imu_noise=noise), unused
 
 
-def _unused_of_cameras(chain: CalibrationNode) -> list[str]:
-    """Keys of `cam0` and `cam1`, each once, and further cameras."""
+def _unused_of_cameras(chain: CalibrationNode, cameras: Sequence[str]) -> list[str]:
+    """Keys of the cameras that are taken, each once, and further cameras."""
     keys: dict[str, None] = {}
     for name in chain.data:
-        if name in ("cam0", "cam1"):
+        if name in cameras:
             keys |= dict.fromkeys(key for key in chain.child(name).data if key not in _CAMERA_KEYS)
         else:
             keys[str(name)] = None

@@ -5,7 +5,7 @@ writer, and a line in `DATASETS`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -17,9 +17,9 @@ from ovmot.datasets.euroc.reader import EurocReader
 from ovmot.datasets.euroc.writer import write_asl
 from ovmot.datasets.four_seasons.reader import FourSeasonsReader
 from ovmot.datasets.four_seasons.writer import write_four_seasons
+from ovmot.datasets.given_calibration import read_calibration
 from ovmot.datasets.kaist.reader import KaistReader
 from ovmot.datasets.kaist.writer import write_kaist
-from ovmot.datasets.kalibr import read_kalibr
 from ovmot.datasets.kitti.reader import KittiReader
 from ovmot.datasets.kitti_raw.reader import KittiRawReader
 from ovmot.datasets.kitti_raw.writer import write_kitti_extract, write_kitti_sync
@@ -105,11 +105,13 @@ def open_recording(
     sequence
         Which one, where the folder holds several.
     calibration
-        A Kalibr chain (a file, or a folder with one) or a value, in place of the data's own.
+        A Kalibr chain (a file, or a folder with one), a rig's file of VINS, or a value, in place of
+        the data's own.
     imu_max_gap_s
         The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported.
     topics
-        Those of a bag, where they cannot be found by their types.
+        Those of a bag, where they cannot be found by their types; `left` and `right` may also be
+        cameras of a chain of more than two.
 
     Returns
     -------
@@ -125,8 +127,13 @@ def open_recording(
     root, given = Path(path), _as_calibration(calibration)
     bag = bag_at(root)
     if bag is None:
-        if topics is not None:
-            _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
+        asked = topics or BagTopics()
+        _refuse(root, "is no bag", imu=asked.imu)
+        if isinstance(given, Path):
+            given = read_calibration(given, asked.left, asked.right)
+        known = () if given is None else (*given.cameras, *given.topics)
+        if not {asked.left, asked.right} <= {*known, None}:
+            _refuse(root, "is no bag", left=asked.left, right=asked.right)
         return open_sequence(root, format, sequence, given, imu_max_gap_s)
     _refuse(root, "is a bag", format=format, sequence=sequence)
     return read_bag(bag, topics or BagTopics(), given, _gap(imu_max_gap_s))
@@ -146,7 +153,10 @@ def open_sequence(
     if not root.is_dir():
         raise InputError.at(root, "not a folder, and not a bag", _GIVE)
     chain = _as_calibration(calibration)
-    given = read_kalibr(chain) if isinstance(chain, Path) else chain
+    given = read_calibration(chain) if isinstance(chain, Path) else chain
+    if given is not None and given.note is not None:
+        opened = open_sequence(root, format, sequence, replace(given, note=None), imu_max_gap_s)
+        return replace(opened, warnings=(given.note, *opened.warnings))
     gap = _gap(imu_max_gap_s)
     if format is not None:
         if format not in DATASETS:

@@ -32,12 +32,13 @@ class StoredImage:
     decode: Callable[[], Image]
 
 
-StoredPair = tuple[StoredImage, StoredImage]
+StoredPair = tuple[StoredImage, StoredImage | None]
+"""Left and right; there is no right one of a monocular rig."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedSequence(ABC):
-    """M stereo pairs, wherever they are stored, and the IMU beside them.
+    """M stereo pairs, or images of one camera, wherever they are stored, and the IMU beside them.
 
     `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
@@ -73,7 +74,8 @@ class RecordedSequence(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderSequence(RecordedSequence):
-    """Stereo pairs in files; `decode` turns a file into a grey image."""
+    """Stereo pairs in files; `decode` turns a file into a grey image. A monocular rig needs no
+    right ones."""
 
     left_paths: tuple[Path, ...]
     right_paths: tuple[Path, ...]
@@ -81,10 +83,11 @@ class FolderSequence(RecordedSequence):
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         for index in range(first, stop):
-            left, right = self.left_paths[index], self.right_paths[index]
+            left = self.left_paths[index]
+            right = self.right_paths[index] if self.rig.n_cameras == 2 else None
             yield (
                 StoredImage(left, partial(self.decode, left)),
-                StoredImage(right, partial(self.decode, right)),
+                None if right is None else StoredImage(right, partial(self.decode, right)),
             )
 
 
@@ -123,7 +126,7 @@ def assemble(
         frame_ns=listing.frame_ns[keep],
         frame_number=np.arange(len(keep)) if numbers is None else numbers[keep],
         left_paths=tuple(listing.left_paths[i] for i in keep),
-        right_paths=tuple(listing.right_paths[i] for i in keep),
+        right_paths=tuple(listing.right_paths[i] for i in keep if listing.right_paths),
         decode=decode,
         warnings=tuple(findings.warnings),
         counts=dict(findings.counts),

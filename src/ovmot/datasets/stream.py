@@ -75,22 +75,23 @@ def samples(imu: ImuData, begin: int, end: int) -> Iterator[ImuSample]:
 
 def _decoded_pairs(
     sequence: "RecordedSequence", first: int, stop: int
-) -> Generator[tuple[Image, Image], None, None]:
+) -> Generator[tuple[Image, Image | None], None, None]:
     """Pairs in order, both sides decoded in parallel, at most `AHEAD` pairs in memory."""
     pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-decode")
-    waiting: deque[tuple[Future[Image], Future[Image]]] = deque()
+    waiting: deque[tuple[Future[Image], Future[Image] | None]] = deque()
     rig, stored = sequence.rig, sequence.pairs(first, stop)
 
     def order(count: int) -> None:
         for left, right in islice(stored, count):
-            jobs = pool.submit(_image, left, rig.cam0), pool.submit(_image, right, rig.cam1)
-            waiting.append(jobs)
+            first = pool.submit(_image, left, rig.cam0)
+            second = None if right is None else pool.submit(_image, right, rig.cam1)
+            waiting.append((first, second))
 
     try:
         order(AHEAD)
         while waiting:
             left, right = waiting.popleft()
-            pair = left.result(), right.result()
+            pair = left.result(), None if right is None else right.result()
             order(1)
             yield pair
     finally:

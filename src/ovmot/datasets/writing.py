@@ -161,7 +161,7 @@ def by_stamp(left: Path, right: Path) -> SaveImages:
     def save(frame: FrameToWrite) -> None:
         name = f"{frame.frame.timestamp_ns}.png"
         write_png(left / name, frame.frame.left)
-        write_png(right / name, frame.frame.right)
+        write_png(right / name, frame.frame.pair[1])
 
     return save
 

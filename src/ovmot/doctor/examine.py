@@ -19,6 +19,7 @@ from ovmot.doctor.report import Finding, Report, Severity, make_report
 from ovmot.doctor.stereo_geometry import check_stereo
 from ovmot.doctor.time_offset import check_gyro, fit_gyro
 from ovmot.doctor.timing import check_coverage, check_frame_times, check_imu_times
+from ovmot.errors import InputError
 from ovmot.settings import ImuSettings
 from ovmot.types import ImuData
 
@@ -38,8 +39,12 @@ def examine(
     """Everything that is wrong or doubtful in a sequence, in plain words.
 
     `advance` hears how many frames have been looked at; `calibration` is the file that stands in
-    place of the data's own, if one does. Raises `DatasetError` for a broken image.
+    place of the data's own, if one does. Raises `DatasetError` for a broken image, `InputError` for
+    a sequence of one camera.
     """
+    if sequence.rig.n_cameras == 1:
+        problem = "has one camera: the doctor compares two"
+        raise InputError.at(sequence.root, problem, "give the calibration and images of a pair")
     locations = locations_of(sequence.kind, None if calibration is None else str(calibration))
     seen = observe(sequence, choose_stretches(sequence.frame_ns, sequence.imu), advance)
     stereo_findings, rig = check_stereo(seen.matches, sequence.rig, locations)

@@ -32,14 +32,14 @@ class ImageStatistics:
 
 def image_statistics(frame: StereoFrame, before: ImageStatistics | None) -> ImageStatistics:
     """What a stereo pair looks like."""
-    thin = [np.ascontiguousarray(x[::_STEP, ::_STEP]) for x in (frame.left, frame.right)]
+    thin = [np.ascontiguousarray(x[::_STEP, ::_STEP]) for x in frame.pair]
     low, high = np.percentile([x.ravel() for x in thin], (2.0, 98.0), axis=1)
     return ImageStatistics(
         grey_range=np.asarray(high - low),
         mean=np.array([x.mean() for x in thin]),
         black=np.array([(x == 0).mean() for x in thin]),
         white=np.array([(x == 255).mean() for x in thin]),
-        sides_equal=bool(np.array_equal(frame.left, frame.right)),
+        sides_equal=bool(np.array_equal(*frame.pair)),
         repeats=before is not None and bool(np.array_equal(before.thinned, thin[0])),
         thinned=thin[0],
     )

@@ -84,7 +84,7 @@ def line_distances(xy0: FloatArray, xy1: FloatArray, rig: StereoRig) -> FloatArr
     off: FloatArray = (lines[:, :2] * xy1).sum(-1) + lines[:, 2]
     camera = rig.cam1
     J, _ = camera.model.distort_jacobian(xy1, camera.distortion)
-    A = np.array([[camera.fx, camera.intrinsics[4]], [0.0, camera.fy]]) @ J
+    A = camera.matrix[:2, :2] @ J
     (n_x, n_y), det = lines[:, :2].T, A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
     normal = np.hypot(A[:, 1, 1] * n_x - A[:, 1, 0] * n_y, A[:, 0, 0] * n_y - A[:, 0, 1] * n_x)
     with np.errstate(invalid="ignore", divide="ignore"):

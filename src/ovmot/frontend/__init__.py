@@ -7,7 +7,8 @@ that come from elsewhere.
 from collections.abc import Callable
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.monocular_tracker import LEFT, RIGHT, MonocularTracker
+from ovmot.frontend.monocular_tracker import MonocularTracker
+from ovmot.frontend.preprocessing import LEFT, RIGHT
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.settings import EpipolarSettings, TrackerSettings
 

@@ -1,7 +1,7 @@
 """The KLT tracker of one camera: corners tracked from image to image."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -100,6 +100,12 @@ class KltTracker:
         self.points = self._with_corners(view, tracked, focus, dynamic_id)
         self._pyramid = view.pyramid
         return self.points
+
+    def take_over(self, view: View, points: TrackedPoints) -> None:
+        """Go on with `points` that were found in this view otherwise; their patches are cut here."""
+        self.patches = PatchStore()
+        self.points = replace(points, slot=self.patches.add(view.words, points.uv))
+        self._pyramid = view.pyramid
 
     def _track(
         self, view: View, p_before: FloatArray, p_predicted: FloatArray, T_now_before: FloatArray

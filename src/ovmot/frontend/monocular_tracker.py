@@ -8,16 +8,14 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar import no_matches
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
-from ovmot.frontend.preprocessing import preprocess
-from ovmot.geometry import se3
+from ovmot.frontend.positions import positions_by_motion
+from ovmot.frontend.prediction import motion_of_right
+from ovmot.frontend.preprocessing import LEFT, preprocess
 from ovmot.geometry.arrays import FloatArray
-from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import Feedback
 from ovmot.runtime import helping_thread
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
-
-LEFT, RIGHT = 0, 1
 
 
 class MonocularTracker:
@@ -53,35 +51,19 @@ class MonocularTracker:
         `OvmotError` for a frame without images.
         """
         self._rig = feedback.rig
-        views = preprocess(frame, self._rig, self._settings, self._helper)
+        sides = tuple(self._trackers)
+        seen = preprocess(frame, self._rig, self._settings, self._helper, sides)
+        views = dict(zip(sides, seen, strict=True))
         points = {}
         for side, tracker in self._trackers.items():
-            T = _motion_of(side, T_now_before, self._rig)
+            T = T_now_before if side == LEFT else motion_of_right(T_now_before, self._rig)
             last = tracker.points
             p_static = self._positions[side]
             points[side] = tracker.step(
                 views[side], p_static, p_static, T, None, feedback.dynamic_id
             )
-            self._positions[side] = _positions(last, points[side], T)
+            self._positions[side] = positions_by_motion(last, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()
-
-
-def _motion_of(side: int, T_now_before: FloatArray, rig: StereoRig) -> FloatArray:
-    """The motion (4, 4) of one camera from that of the left one."""
-    if side == LEFT:
-        return T_now_before
-    return rig.T_cam1_cam0 @ T_now_before @ se3.inverse(rig.T_cam1_cam0)
-
-
-def _positions(before: TrackedPoints, now: TrackedPoints, T_now_before: FloatArray) -> FloatArray:
-    """Points (N, 3) in the present camera, metres, from the last two views; NaN for new ones.
-
-    Only as good as the predicted motion; it serves to predict how the points go on.
-    """
-    pairs = np.full((len(now), 4), np.nan)
-    tracked = before.xy[np.isin(before.feature_id, now.feature_id)]
-    pairs[:, :2], pairs[: len(tracked), 2:] = now.xy, tracked
-    return triangulate_stereo(pairs, se3.inverse(T_now_before))
 
 
 def _joined(timestamp_ns: int, points: dict[int, TrackedPoints]) -> FrontendFrame:

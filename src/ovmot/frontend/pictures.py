@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.errors import OvmotError
-from ovmot.frontend.preprocessing import Pictures
 from ovmot.geometry.arrays import BoolArray, Image
 from ovmot.types import FeatureFrame, Picture, StereoFrame
 
@@ -21,6 +20,9 @@ _FLAT_LEVELS = 4
 noise alone makes as many."""
 _TORN_SHARE = 0.05
 """Of the rows: fewer equal ones come about by themselves, in a sky without clouds."""
+
+
+Pictures = tuple[Picture, Picture]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +44,9 @@ def judge_pictures(
     """
     if isinstance(frame, FeatureFrame):
         raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
-    left, kept_left = _judge(frame.left, 0 in frame.missing, last.left, moving)
-    right, kept_right = _judge(frame.right, 1 in frame.missing, last.right, moving)
+    images = frame.pair
+    left, kept_left = _judge(images[0], 0 in frame.missing, last.left, moving)
+    right, kept_right = _judge(images[1], 1 in frame.missing, last.right, moving)
     return (left, right), LastPictures(kept_left, kept_right)
 
 

@@ -91,3 +91,24 @@ def predict_right(xy_left: FloatArray, depth: FloatArray, rig: StereoRig) -> Flo
     """Right pixels (N, 2) of left normalized coordinates (N, 2) at given depths (N,), metres."""
     ray = np.concatenate([xy_left, np.ones((len(xy_left), 1))], axis=1)
     return rig.cam1.project(se3.apply(rig.T_cam1_cam0, ray * depth[:, None]))
+
+
+def motion_of_right(T_now_before: FloatArray, rig: StereoRig) -> FloatArray:
+    """The motion (4, 4) of the right camera, by that of the left one."""
+    motion: FloatArray = rig.T_cam1_cam0 @ T_now_before @ se3.inverse(rig.T_cam1_cam0)
+    return motion
+
+
+def median_flow_px(
+    xy: FloatArray, p_before: FloatArray, T_now_before: FloatArray, camera: Camera
+) -> float:
+    """How far static points move in the image, pixels, in the median; 0 of none.
+
+    `xy` (N, 2): normalized coordinates; `p_before` (N, 3): positions in the camera of before,
+    metres, NaN where unknown: those are moved by the rotation alone.
+    """
+    now, _ = predict_pixels(xy, p_before, T_now_before, camera)
+    before, _ = predict_pixels(xy, p_before, np.eye(4), camera)
+    flow = np.linalg.norm(now - before, axis=1)
+    flow = flow[np.isfinite(flow)]
+    return float(np.median(flow)) if len(flow) else 0.0

@@ -23,6 +23,7 @@ from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
+LEFT, RIGHT = 0, 1
 _MAX_GAIN = 4.0
 """Greatest gain of contrast, so that night stays night; CLAHE's clip limit is the same bound."""
 
@@ -61,8 +62,10 @@ def preprocess(
     rig: StereoRig,
     settings: TrackerSettings,
     helper: Executor,
-) -> tuple[View, View]:
-    """Left and right view of a frame. Raises `OvmotError` for a frame without images."""
+    sides: tuple[int, ...] = (LEFT, RIGHT),
+) -> tuple[View, ...]:
+    """The views of a frame that the cameras `sides` have, in their order. Raises `OvmotError` for a
+    frame without images, or without one of these."""
     if isinstance(frame, FeatureFrame):
         raise OvmotError(f"frame {frame.timestamp_ns}: features where images were expected")
 
@@ -70,14 +73,10 @@ def preprocess(
         even = EQUALIZERS[settings.equalization](image)
         return View(even, build_pyramid(even, settings), patch_image(even), mask, camera)
 
-    left, right = do_together(
-        [
-            partial(view_of, frame.left, frame.left_mask, rig.cam0),
-            partial(view_of, frame.right, frame.right_mask, rig.cam1),
-        ],
-        helper,
-    )
-    return left, right
+    images = (frame.left,) if sides == (LEFT,) else frame.pair
+    masks = frame.left_mask, frame.right_mask
+    jobs = [partial(view_of, images[side], masks[side], rig.cameras[side]) for side in sides]
+    return tuple(do_together(jobs, helper))
 
 
 def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:

@@ -61,7 +61,8 @@ class RemoteFrontEnd:
         """Features of this frame, and every stereo match tested; see `StereoTracker.track`."""
         if isinstance(frame, StereoFrame):
             self._images.write(frame.left, frame.right)
-            frame = replace(frame, left=_NO_IMAGE, right=_NO_IMAGE)
+            right = None if frame.right is None else _NO_IMAGE
+            frame = replace(frame, left=_NO_IMAGE, right=right)
         self._send((frame, T_now_before, feedback))
         try:
             reply: tuple[FrontendFrame, StereoMatches] | Exception = self._replies.recv()
@@ -107,9 +108,11 @@ class _SharedImages:
         os.ftruncate(fd, size)
         return cls(rig, mmap.mmap(fd, size)), fd
 
-    def write(self, left: Image, right: Image) -> None:
+    def write(self, left: Image, right: Image | None) -> None:
         """Put a frame's images there."""
-        self.left[:], self.right[:] = left, right
+        self.left[:] = left
+        if right is not None:
+            self.right[:] = right
 
 
 def serve(requests_fd: int, replies_fd: int, images_fd: int) -> None:
@@ -126,7 +129,8 @@ def serve(requests_fd: int, replies_fd: int, images_fd: int) -> None:
         while True:
             frame, T_now_before, feedback = requests.recv()
             if isinstance(frame, StereoFrame):
-                frame = replace(frame, left=images.left, right=images.right)
+                right = None if frame.right is None else images.right
+                frame = replace(frame, left=images.left, right=right)
             try:
                 reply: object = front_end.track(frame, T_now_before, feedback)
             except Exception as error:

@@ -6,7 +6,8 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
-from ovmot.frontend.prediction import carried_positions, motion_of_right
+from ovmot.frontend.positions import carried_positions
+from ovmot.frontend.prediction import motion_of_right
 from ovmot.frontend.preprocessing import View
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -60,3 +61,29 @@ class RightAlone:
             track_length=points.track_length,
             two_view_inlier=points.inlier,
         )
+
+
+def seen_by_right(
+    view: View,
+    points: TrackedPoints,
+    pixels: FloatArray,
+    normalized: FloatArray,
+    p_cam0: FloatArray,
+) -> tuple[View, TrackedPoints, FloatArray]:
+    """The right view of a frame, those of its points that are matched there, as the right camera's
+    own, and where they are in the left camera (M, 3), metres.
+
+    `pixels`, `normalized` (N, 4): of both images, NaN where there is no match.
+    """
+    matched = np.flatnonzero(np.isfinite(pixels[:, 2]))
+    own = TrackedPoints(
+        feature_id=points.feature_id[matched],
+        uv=pixels[matched, 2:],
+        xy=normalized[matched, 2:],
+        track_length=points.track_length[matched],
+        depth=np.full(len(matched), np.nan),
+        extra_flow=np.zeros((len(matched), 2)),
+        inlier=points.inlier[matched],
+        slot=points.slot[matched],
+    )
+    return view, own, p_cam0[matched]

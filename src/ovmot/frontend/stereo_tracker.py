@@ -3,22 +3,28 @@
 OpenVINS calls this a stereo `TrackKLT` (`use_stereo: true`).
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.corners import fine_cell_px, focus_mask
-from ovmot.frontend.epipolar import gate_matches, without_rejected
+from ovmot.frontend.epipolar import gate_matches, no_matches, without_rejected
 from ovmot.frontend.feature_search import Sought, find_features, near_levels, recover_lost
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
-from ovmot.frontend.prediction import fill_depths, predict_right
-from ovmot.frontend.preprocessing import View, preprocess
+from ovmot.frontend.pictures import LastPictures, Pictures, judge_pictures
+from ovmot.frontend.positions import carried_positions
+from ovmot.frontend.prediction import fill_depths, median_flow_px, predict_right
+from ovmot.frontend.preprocessing import LEFT, RIGHT, View, preprocess
+from ovmot.frontend.right_alone import RightAlone, seen_by_right
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import positions
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import Feedback
+from ovmot.physics import PIXEL_SIGMA
 from ovmot.runtime import helping_thread
 from ovmot.settings import EpipolarSettings, TrackerSettings
-from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
+from ovmot.types import FeatureFrame, FrontendFrame, Picture, StereoFrame, StereoMatches
 
 
 class StereoTracker:
@@ -40,9 +46,16 @@ class StereoTracker:
         self._settings = settings
         self._epipolar = epipolar
         self._helper = helping_thread(threads)
-        self._left = KltTracker(settings, self._helper, FeatureIds())
-        self._pairs = np.empty((0, 4))  # normalized coordinates of the last frame
+        ids = FeatureIds()
+        self._left = KltTracker(settings, self._helper, ids)
+        self._right_alone = RightAlone(settings, self._helper, ids)
+        self._pictures = LastPictures()
+        # of the last frame with a left picture: its stamp, where its points were, left camera; the
+        # motion since then; and what the right camera saw of them
         self._last_ns = 0
+        self._p_cam0 = np.empty((0, 3))
+        self._T_since = np.eye(4)
+        self._last_right: tuple[View, TrackedPoints, FloatArray] | None = None
 
     def close(self) -> None:
         """Stop the helping thread."""
@@ -58,10 +71,39 @@ class StereoTracker:
         without images.
         """
         self._rig = feedback.rig
-        left, right = preprocess(frame, self._rig, self._settings, self._helper)
+        self._T_since = T_now_before @ self._T_since
+        pictures = self._judge(frame)
+        fine = tuple(side for side in (LEFT, RIGHT) if pictures[side] == Picture.FINE)
+        views = dict(
+            zip(fine, preprocess(frame, self._rig, self._settings, self._helper, fine), strict=True)
+        )
+        left, right, matches = views.get(LEFT), views.get(RIGHT), no_matches()
+        if left is not None:
+            seen, matches = self._track_left(frame.timestamp_ns, left, right, feedback)
+        elif right is not None:
+            seen = self._right_alone.track(
+                frame.timestamp_ns, right, self._last_right, T_now_before, self._rig,
+                feedback.dynamic_id,
+            )  # fmt: skip
+        else:
+            seen = no_features(frame.timestamp_ns)
+        return replace(seen, pictures=pictures), matches
+
+    def _judge(self, frame: StereoFrame | FeatureFrame) -> Pictures:
+        """What both cameras gave; a picture is compared with the last one where things moved."""
+        flow_px = median_flow_px(self._left.points.xy, self._p_cam0, self._T_since, self._rig.cam0)
+        pictures, self._pictures = judge_pictures(
+            frame, self._pictures, flow_px > 2.0 * PIXEL_SIGMA
+        )
+        return pictures
+
+    def _track_left(
+        self, timestamp_ns: int, left: View, right: View | None, feedback: Feedback
+    ) -> tuple[FrontendFrame, StereoMatches]:
+        """Features of a frame with a left picture, and the stereo matches where it has both."""
         # track the left points, from where they were in space and how they move
-        p_before = triangulate_stereo(self._pairs, self._rig.T_cam1_cam0)
-        dt_s = 1e-9 * (frame.timestamp_ns - self._last_ns)
+        last, p_before, T_now_before = self._left.points, self._p_cam0, self._T_since
+        dt_s = 1e-9 * (timestamp_ns - self._last_ns)
         p_predicted = p_before + self._displacements(feedback, dt_s)
         shape, cell_px = left.image.shape, fine_cell_px(left.image.shape, self._settings)
         focus = focus_mask(shape, feedback.focus_uv, feedback.focus_radius_px, cell_px)
@@ -69,13 +111,22 @@ class StereoTracker:
             left, p_before, p_predicted, T_now_before, focus, feedback.dynamic_id
         )
         # match them into the right image, and gate the matches
-        pixels, self._pairs, matches = self._match_right(left, right, points, cell_px)
-        self._last_ns = frame.timestamp_ns
+        if right is None:
+            unseen, matches = np.full((len(points), 2), np.nan), no_matches()
+            pixels = np.concatenate([points.uv, unseen], axis=1)
+            normalized = np.concatenate([points.xy, unseen], axis=1)
+            self._p_cam0 = carried_positions(last, points, p_before, T_now_before)
+        else:
+            pixels, normalized, matches = self._match_right(left, right, points, cell_px)
+            self._p_cam0 = triangulate_stereo(normalized, self._rig.T_cam1_cam0)
+        self._last_right = right and seen_by_right(right, points, pixels, normalized, self._p_cam0)
+        self._last_ns, self._T_since = timestamp_ns, np.eye(4)
+        self._right_alone.end()
         seen = FrontendFrame(
-            timestamp_ns=frame.timestamp_ns,
+            timestamp_ns=timestamp_ns,
             feature_id=points.feature_id,
             pixels=pixels,
-            normalized=self._pairs,
+            normalized=normalized,
             track_length=points.track_length,
             two_view_inlier=points.inlier,
         )

@@ -91,7 +91,7 @@ def align_with_imu(
     Raises `InitializationError` where gravity comes out wrong or path and IMU do not agree.
     """
     gyro_bias = _gyro_bias(path, imu, noise)
-    preintegrated = _preintegrate_from_first(imu, gyro_bias, noise)
+    preintegrated = preintegrate_from_first(imu, gyro_bias, noise)
     t = np.array([(i.timestamp_ns[-1] - imu[0].timestamp_ns[0]) * 1e-9 for i in imu])
     alpha = np.array([x.imu.position for x in preintegrated])
     by_bias = np.array([x.transition[POSITION, ACCEL_BIAS] for x in preintegrated])
@@ -120,7 +120,7 @@ def _cells_of(feature_id: IntArray, frames: Sequence[FrontendFrame], rig: Stereo
     return occupied_cells(middle.normalized[np.isin(middle.feature_id, feature_id)], rig)
 
 
-def _preintegrate_from_first(
+def preintegrate_from_first(
     imu: Sequence[ImuData], gyro_bias: FloatArray, noise: ImuNoise
 ) -> list[Propagation]:
     """Motion without gravity from the first sample to the end of each interval, with its Jacobian
@@ -149,7 +149,7 @@ def _gyro_bias(path: StereoPath, imu: Sequence[ImuData], noise: ImuNoise) -> Flo
     """Gauss-Newton on the rotations: log(ΔR_kᵀ R_k) = ∂θ_k/∂b_g δb_g, with a prior."""
     bias = np.zeros(3)
     for _ in range(3):
-        preintegrated = _preintegrate_from_first(imu, bias, noise)
+        preintegrated = preintegrate_from_first(imu, bias, noise)
         sigma = _total_sigma(path.rotation_sigma, preintegrated, THETA)
         N, c = np.eye(3) / GYRO_BIAS_SIGMA_RPS**2, -bias / GYRO_BIAS_SIGMA_RPS**2
         for k, motion in enumerate(preintegrated):

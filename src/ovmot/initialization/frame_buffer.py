@@ -16,11 +16,21 @@ _LONGER = 1.2  # than the longest window: frames kept, so that they span it at a
 
 
 class FrameBuffer:
-    """Keeps the newest frames before initialization, as many as an initializer uses."""
+    """Keeps the newest frames before initialization, as many as an initializer uses.
 
-    def __init__(self, initializer: Initializer, settings: InitializationSettings) -> None:
+    `motion_window_s`: the length that a start in motion solves over, where it is not that of the
+    settings for stereo.
+    """
+
+    def __init__(
+        self,
+        initializer: Initializer,
+        settings: InitializationSettings,
+        motion_window_s: float | None = None,
+    ) -> None:
         self._initializer = initializer
         self._settings = settings
+        self._motion_window_s = motion_window_s or settings.motion_window_s
         self._frames: deque[FrontendFrame] = deque()
 
     @property
@@ -36,7 +46,7 @@ class FrameBuffer:
         """Add a frame; drop those beyond the window, and those older than the IMU."""
         frames, first_ns = self._frames, imu.first_ns
         frames.append(seen)
-        span_ns = round(_LONGER * 1e9 * self._settings.motion_window_s)
+        span_ns = round(_LONGER * 1e9 * self._motion_window_s)
         while len(frames) > 1 and (
             seen.timestamp_ns - frames[0].timestamp_ns > span_ns
             or (

@@ -22,9 +22,10 @@ from ovmot.initialization.factors import (
     prior_factor,
     zero_velocity_factor,
 )
+from ovmot.initialization.monocular import monocular_initialization
 from ovmot.initialization.static import static_initialization
 from ovmot.initialization.stereo_path import stereo_path
-from ovmot.initialization.window import KeyframeWindow, filter_state
+from ovmot.initialization.window import KeyframeWindow, filter_state, scale_sigma
 from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
 from ovmot.types import FrontendFrame, ImuNoise
@@ -40,6 +41,17 @@ _MIN_DYNAMIC_FRAMES = 5
 
 
 _MAX_RMS = 3.0  # of the adjusted window's whitened residuals; beyond, it is refused
+
+
+def has_stereo(rig: StereoRig, settings: Settings) -> bool:
+    """Does the front end match left and right features?"""
+    return rig.n_cameras == 2 and settings.tracker.cameras == "stereo"
+
+
+def motion_window_s(rig: StereoRig, settings: Settings) -> float:
+    """The length that a start in motion solves over."""
+    start = settings.initialization
+    return start.motion_window_s if has_stereo(rig, settings) else start.mono_window_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +143,8 @@ class _Start:
     def _with_clock(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> "_Start":
         """The start by the time offset that the turns of the window show, if they show another."""
         span_s = (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
-        if self.clock.sigma_s == 0.0 or span_s < self.settings.initialization.motion_window_s:
+        short = span_s < self.settings.initialization.motion_window_s
+        if short or self.clock.sigma_s == 0.0 or not has_stereo(self.rig, self.settings):
             return self
         stamps = [self.imu_time_ns(f.timestamp_ns) for f in frames]
         try:
@@ -154,8 +167,11 @@ class _Start:
         begin = min(begin, self.imu_time_ns(frames[0].timestamp_ns))
         samples = imu.between(begin, now)
         gravity = self.settings.filter.gravity_mps2
+        # without stereo nothing tells traffic around a stationary rig from a world that passes by
+        rest = self.settings.zero_velocity
+        least_share = None if has_stereo(self.rig, self.settings) else rest.still_share
         solution = static_initialization(
-            frames, samples, self.rig, settings, gravity, self.settings.zero_velocity.pixel
+            frames, samples, self.rig, settings, gravity, rest.pixel, least_share
         )
         state = solution.state
         keyframes = [frames[k] for k in self._keyframes(frames)]
@@ -168,9 +184,8 @@ class _Start:
         )
 
     def _dynamic(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
-        """The guess by stereo motion and IMU over the window."""
-        settings = self.settings
-        window_s = settings.initialization.motion_window_s
+        """The guess by images in motion and IMU over the window."""
+        settings, window_s = self.settings, motion_window_s(self.rig, self.settings)
         span_s = (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
         if span_s < window_s:
             raise InitializationError(f"{span_s:.2f} s of frames (needs {window_s:g} s)")
@@ -181,7 +196,10 @@ class _Start:
         prior = InitializationPrior(
             settings.filter.gravity_mps2, settings.initialization.accel_bias_sigma_mps2
         )
-        solution = dynamic_initialization(frames, intervals, self.rig, self.noise, prior)
+        solve = (
+            dynamic_initialization if has_stereo(self.rig, settings) else monocular_initialization
+        )
+        solution = solve(frames, intervals, self.rig, self.noise, prior)
         index = self._keyframes(frames)
         return InitialGuess(
             solution.first, solution.T_world_imu[index], np.array(stamps)[index],
@@ -199,6 +217,8 @@ class _Start:
                 f"IMU and images of the window are off by {adjusted.factor_rms:.1f} and"
                 f" {adjusted.pixel_rms:.1f} sigma (at most {_MAX_RMS:g})"
             )
+        if not (guess.stationary or has_stereo(self.rig, self.settings)):
+            self._check_scale(adjusted)
         frames = guess.frames
         n_without_frame = len(guess.imu_ns) - len(frames)
         kept = np.arange(len(frames))[-self.settings.filter.max_clones :]
@@ -216,6 +236,17 @@ class _Start:
             state, self.rig, self.noise, self.settings, guess.stationary, frames[-1].timestamp_ns
         )
         return source, _feature_table(frames, clone_ns, for_filter)
+
+    def _check_scale(self, adjusted: AdjustedWindow) -> None:
+        """Raise `InitializationError` where one camera and the IMU do not tell how far the window's
+        path goes: without accelerations any scale fits both."""
+        greatest = self.settings.initialization.mono_scale_sigma
+        sigma = scale_sigma(adjusted.window, adjusted.covariance)
+        if not sigma < greatest:
+            raise InitializationError(
+                f"one camera, and too little acceleration: the scale is known to"
+                f" {100 * sigma:.0f} % (needs {100 * greatest:g} %)"
+            )
 
     def _bias_walk(self, guess: InitialGuess, size: int) -> FloatArray:
         """Covariance (size, size) of the biases' random walk over the window, in which they were

@@ -51,15 +51,17 @@ def static_initialization(
     settings: InitializationSettings,
     gravity: float,
     max_pixels: float,
+    least_share: float | None = None,
 ) -> StaticSolution:
     """The state of a rig that is stationary over the frames and the IMU samples.
 
-    `gravity`: its magnitude, m/s²; `max_pixels`: by how much a stationary point may move. Raises
-    `InitializationError` where IMU or images say that the rig moves.
+    `gravity`: its magnitude, m/s²; `max_pixels`: by how much a stationary point may move;
+    `least_share`: which share of the points must be stationary, by default that of the settings.
+    Raises `InitializationError` where IMU or images say that the rig moves.
     """
     check_imu_is_stationary(imu, settings, gravity)
     points = stationary_points(frames, rig, max_pixels)
-    check_images_are_stationary(points, settings)
+    check_images_are_stationary(points, settings, least_share)
     return StaticSolution(stationary_state(imu), points.feature_id)
 
 
@@ -123,16 +125,21 @@ def _moving_cells(
     return occupied_cells(before[motion.inlier], rig)
 
 
-def check_images_are_stationary(points: StationaryPoints, settings: InitializationSettings) -> None:
+def check_images_are_stationary(
+    points: StationaryPoints, settings: InitializationSettings, least_share: float | None = None
+) -> None:
     """Raise `InitializationError` where the images say that the rig moves.
+
+    `least_share`: which share of the points must be stationary, by default that of the settings.
 
     Traffic may fill most of the view of a stationary rig, and a car ahead at the rig's own speed
     keeps its place in the image. The body that occupies more space is the world.
     """
-    if points.share < settings.rest_share:
+    least = settings.rest_share if least_share is None else least_share
+    if points.share < least:
         raise InitializationError(
             f"only {100 * points.share:.0f} % of the points are stationary"
-            f" (at least {100 * settings.rest_share:.0f} %)"
+            f" (at least {100 * least:.0f} %)"
         )
     if points.moving_cells >= max(points.cells, 1):
         raise InitializationError(

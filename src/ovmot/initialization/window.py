@@ -124,6 +124,21 @@ def exposure_clones(window: KeyframeWindow, frame_ns: IntArray) -> Clones:
     return Clones(frame_ns, T, T)
 
 
+def scale_sigma(window: KeyframeWindow, covariance: FloatArray) -> float:
+    """Standard deviation of the path's scale, as a share of it; `covariance` (N, N): the window's.
+
+    The scale by least squares of the K positions, relative to the first; infinite without motion.
+    """
+    path = window.T_world_imu[:, :3, 3] - window.T_world_imu[0, :3, 3]
+    square = float((path**2).sum())
+    if square == 0.0:
+        return float("inf")
+    by_window = np.zeros(window.size)
+    for k, position in enumerate(path):
+        by_window[window.columns(k)][POSITION] = position / square
+    return float(np.sqrt(by_window @ covariance @ by_window))
+
+
 def filter_state(
     window: KeyframeWindow,
     covariance: FloatArray,

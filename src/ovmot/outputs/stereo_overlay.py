@@ -16,13 +16,18 @@ _SAMPLES = 13  # along a line, which the distortion bends into a curve
 def draw_stereo(
     frame: StereoFrame, matches: StereoMatches, rig: StereoRig, scale: float = 1.0
 ) -> Image:
-    """Left and right image side by side with every stereo match tested (BGR).
+    """Left and right image side by side with every stereo match tested (BGR); the left one alone
+    where there is no other.
 
     Accepted points are blue, refused ones red, in both images. In the right one each point has
     its epipolar line in red (full and bright for the refused, short and dark for the accepted)
     and its distance to that line, pixels, in green. Pixels are enlarged by `scale`.
     """
-    left, right = drawing.backdrop(frame.left, scale), drawing.backdrop(frame.right, scale)
+    left = drawing.backdrop(frame.left, scale)
+    if frame.right is None:
+        drawing.caption(left, [(f"t {1e-9 * frame.timestamp_ns:.3f} s", drawing.WHITE)])
+        return left
+    right = drawing.backdrop(frame.right, scale)
     p_left, p_right = matches.pixels[:, :2], matches.pixels[:, 2:]
     good, bad = matches.accepted, ~matches.accepted
     for which, reach, color in (

@@ -60,10 +60,9 @@ def write_sequence_bag(path: Path, sequence: RecordedSequence) -> int:
                 said = [Published(IMU, imu_message(event))]
             else:
                 assert isinstance(event, StereoFrame)
-                said = [
-                    Published(LEFT, image(event.timestamp_ns, "cam0", event.left)),
-                    Published(RIGHT, image(event.timestamp_ns, "cam1", event.right)),
-                ]
+                said = [Published(LEFT, image(event.timestamp_ns, "cam0", event.left))]
+                if event.right is not None:
+                    said.append(Published(RIGHT, image(event.timestamp_ns, "cam1", event.right)))
                 frames += 1
             for published in said:
                 bag.write(published, event.timestamp_ns)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ovmot.datasets.calibration import Calibration
-from ovmot.datasets.kalibr import read_kalibr
+from ovmot.datasets.given_calibration import read_calibration
 from ovmot.datasets.registry import open_sequence, recognise
 from ovmot.errors import InputError
 from ovmot.settings import LiveSettings
@@ -62,7 +62,7 @@ def why_silent(topic: InputTopic, published: Mapping[str, str]) -> str:
 
 
 def live_calibration(path: Path | None) -> Calibration:
-    """The calibration in a Kalibr chain, or in the folder of a data set.
+    """The calibration in a Kalibr chain, a rig's file of VINS, or the folder of a data set.
 
     Raises `InputError` where there is none.
     """
@@ -71,4 +71,4 @@ def live_calibration(path: Path | None) -> Calibration:
     if path.is_dir() and recognise(path):
         sequence = open_sequence(path)
         return Calibration(sequence.rig, sequence.imu_noise)
-    return read_kalibr(path)
+    return read_calibration(path)

@@ -219,8 +219,7 @@ def intrinsics_jacobian(camera: Camera, p_cam: FloatArray) -> FloatArray:
     J = np.zeros((*xy.shape, _FOCAL_AND_CENTER + len(camera.distortion)))
     J[..., 0, 0], J[..., 1, 1] = distorted[..., 0], distorted[..., 1]
     J[..., 0, 2] = J[..., 1, 3] = 1.0
-    A = np.array([[camera.fx, camera.intrinsics[4]], [0.0, camera.fy]])
-    J[..., _FOCAL_AND_CENTER:] = A @ by_distortion
+    J[..., _FOCAL_AND_CENTER:] = camera.matrix[:2, :2] @ by_distortion
     return J
 
 

@@ -47,7 +47,7 @@ def test_encodings_become_grey(
     path = write_bag(tmp_path / f"tiny{ending}", {"/left": make_image, "/right": make_image})
     seen = frames(path, chain)
     assert len(seen) == 6
-    for seen_image in (seen[0].left, seen[5].right):  # libpng rounds colours down
+    for seen_image in (seen[0].left, seen[5].pair[1]):  # libpng rounds colours down
         assert np.abs(seen_image.astype(int) - expected).max() <= (expected is GREY)
 
 
@@ -86,7 +86,7 @@ def test_a_bayer_pattern_is_read_by_its_first_rows(
     png = compressed(f"{encoding}; png compressed ", pixels=mosaic)
     path = write_bag(tmp_path / "tiny.bag", {"/left": encoded(encoding, mosaic), "/right": png})
     frame = frames(path, chain)[0]
-    for side in (frame.left, frame.right):
+    for side in frame.pair:
         assert np.abs(side[4:-4, 4:-4].astype(float) - 0.299 * 255).max() < 2
 
 

@@ -88,4 +88,4 @@ def test_left_and_right_may_be_stamped_a_little_apart(
         return
     seen = frames(path, chain)
     assert [f.timestamp_ns for f in seen] == [START_NS + i * 10**8 for i in range(6)]
-    assert all(np.array_equal(f.right, COLOURS[:, :, 1]) for f in seen)
+    assert all(np.array_equal(f.pair[1], COLOURS[:, :, 1]) for f in seen)

@@ -50,7 +50,7 @@ def test_cameras_are_found_by_type(
             {"left": "/b"},
             "x.bag: holds 3 image topics: /a, /b, /c; choose with --right TOPIC",
         ),
-        ({"/a": IMAGE}, {}, "x.bag: holds 1 image topics: /a; two cameras are needed"),
+        ({"/a": IMAGE}, {"right": "/a"}, "x.bag: holds 1 image topics: /a; two cameras are needed"),
         ({"/imu": IMU}, {}, "x.bag: holds no image topics"),
         (
             {"/a": IMAGE, "/b": IMAGE},

@@ -12,6 +12,9 @@ class Equidistant:
     name = "equidistant"
     n_coefficients: tuple[int, ...] = (4,)
 
+    def scale(self, coefficients: FloatArray) -> float:
+        return 1.0
+
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         r = np.linalg.norm(xy, axis=-1, keepdims=True)
         theta = np.arctan(r)

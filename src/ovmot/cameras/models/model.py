@@ -18,6 +18,10 @@ class CameraModel(Protocol):
     name: str
     n_coefficients: tuple[int, ...]
 
+    def scale(self, coefficients: FloatArray) -> float:
+        """Derivative of `distort` on the axis, the same in each direction: 1 for most models."""
+        ...
+
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Distorted normalized coordinates (..., 2) of undistorted ones (..., 2)."""
         ...
@@ -31,7 +35,8 @@ class CameraModel(Protocol):
     def undistort(self, xy_distorted: FloatArray, coefficients: FloatArray) -> FloatArray:
         """Undistorted normalized coordinates (..., 2) of distorted ones; NaN where there are none.
 
-        Past the radius at which a model folds back there is no point: real images do not fold.
+        Past the radius at which a model folds back there is no point: real images do not fold. Nor
+        is there one at 90 degrees from the axis or beyond, which the plane does not reach.
         """
         ...
 

@@ -13,6 +13,9 @@ class RadialTangential:
     name = "radtan"
     n_coefficients: tuple[int, ...] = (4, 5)
 
+    def scale(self, coefficients: FloatArray) -> float:
+        return 1.0
+
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         x, y = xy[..., 0], xy[..., 1]
         k1, k2, p1, p2, k3 = _five(coefficients)

@@ -6,35 +6,49 @@ import numpy as np
 
 from ovmot.cameras.models.model import NEWTON_STEPS, TOLERANCE
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 
 Four = tuple[float, float, float, float]
+
+
+@inlined_part
+def distort_by(
+    k1: float, k2: float, p1: float, p2: float, k3: float, x: float, y: float
+) -> tuple[float, float]:
+    """`distort` with its coefficients one by one."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+
+
+@inlined_part
+def jacobian_by(k1: float, k2: float, p1: float, p2: float, k3: float, x: float, y: float) -> Four:
+    """`distort_jacobian` with its coefficients one by one."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # d(radial)/dx = slope * x
+    mixed = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+    return (
+        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        mixed,
+        mixed,
+        radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
 
 
 @part
 def distort(d: FloatArray, x: float, y: float) -> tuple[float, float]:
     """Distorted normalized coordinates of undistorted ones, d (5,): k1, k2, p1, p2, k3."""
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
-    return (
-        x * radial + 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x),
-        y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y,
-    )
+    return distort_by(d[0], d[1], d[2], d[3], d[4], x, y)
 
 
 @part
 def distort_jacobian(d: FloatArray, x: float, y: float) -> Four:
     """Derivative of `distort` by (x, y), row by row."""
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
-    slope = 2.0 * (d[0] + r2 * (2.0 * d[1] + 3.0 * r2 * d[4]))  # d(radial)/dx = slope * x
-    mixed = slope * x * y + 2.0 * d[2] * x + 2.0 * d[3] * y
-    return (
-        radial + slope * x * x + 2.0 * d[2] * y + 6.0 * d[3] * x,
-        mixed,
-        mixed,
-        radial + slope * y * y + 6.0 * d[2] * y + 2.0 * d[3] * x,
-    )
+    return jacobian_by(d[0], d[1], d[2], d[3], d[4], x, y)
 
 
 def undistort(distorted: FloatArray, d: FloatArray, fold_squared: float) -> FloatArray:

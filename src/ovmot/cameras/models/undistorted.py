@@ -11,6 +11,9 @@ class Undistorted:
     name = "none"
     n_coefficients: tuple[int, ...] = (0,)
 
+    def scale(self, coefficients: FloatArray) -> float:
+        return 1.0
+
     def distort(self, xy: FloatArray, coefficients: FloatArray) -> FloatArray:
         return np.asarray(xy, dtype=np.float64)
 

@@ -4,16 +4,18 @@ CameraInfo has both cameras and, by the right one's P, the baseline; no message 
 cameras are on the IMU.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ovmot.datasets.bag.file import Bag
-from ovmot.datasets.bag.topics import FoundTopics
+from ovmot.datasets.bag.topics import BagTopics, FoundTopics
 from ovmot.datasets.calibration import Calibration, CalibrationNode, make_rig
 from ovmot.datasets.camera_info import read_camera, right_from_left
-from ovmot.datasets.kalibr import is_mount, read_kalibr, read_kalibr_mount
+from ovmot.datasets.given_calibration import read_calibration
+from ovmot.datasets.kalibr import is_mount, read_kalibr_mount
 from ovmot.errors import CalibrationError
 from ovmot.geometry import se3
 
@@ -22,26 +24,66 @@ _MOUNT = "--calibration FILE with cam0.T_cam_imu (and timeshift_cam_imu)"
 _CHAIN = "give a Kalibr chain of both cameras with --calibration FILE"
 
 
+def given_calibration(
+    given: Path | Calibration | None, asked: BagTopics
+) -> Path | Calibration | None:
+    """A file of cameras read; one that says only where the left camera is mounted stays a path.
+
+    `asked`: which cameras of a chain, by name or topic. Raises `CalibrationError`.
+    """
+    if isinstance(given, Path) and not is_mount(given):
+        return read_calibration(given, asked.left, asked.right)
+    return given
+
+
+def topics_of_cameras(bag: Bag, given: Path | Calibration | None, asked: BagTopics) -> BagTopics:
+    """The topics of the cameras that were asked for by their names in the chain; and, of a bag of
+    more image topics than the chain has cameras, those that the chain names.
+
+    Raises `CalibrationError` where the chain does not say the topic of a camera.
+    """
+    if not isinstance(given, Calibration):
+        return asked
+    by_camera = dict(zip(given.cameras, given.topics, strict=False))
+    for name in (asked.left, asked.right):
+        if name in by_camera and by_camera[name] is None:
+            problem = f"the chain has no rostopic for {name}"
+            raise CalibrationError.at(bag.path, problem, "name topics with --left and --right")
+    asked = replace(
+        asked,
+        left=by_camera.get(asked.left or "", asked.left),
+        right=by_camera.get(asked.right or "", asked.right),
+    )
+    named = [topic for topic in given.topics if topic in bag.types]
+    if asked.left is None and asked.right is None and len(named) == len(given.cameras):
+        return replace(asked, left=named[0], right=named[1] if len(named) > 1 else None)
+    return asked
+
+
 def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | Calibration | None) -> Calibration:
     """The calibration from `chain`; what it leaves out (both cameras) from CameraInfo.
 
-    A `chain` that is a calibration already is all. Raises `CalibrationError` that says what is
+    A `chain` that is a calibration already is all; of one camera more than the bag has, the left
+    one is taken. Raises `CalibrationError` that says what is
     missing.
     """
     if isinstance(chain, Calibration):
-        return chain
-    if chain is not None and not is_mount(chain):
-        return read_kalibr(chain)
-    nodes = [_info(bag, topic) for topic in (topics.left, topics.right)]
-    names = [t for t, node in zip((topics.left, topics.right), nodes, strict=True) if node is None]
+        return chain.of_left_camera() if topics.right is None else chain
+    nodes = [_info(bag, topic) for topic in topics.images]
+    names = [t for t, node in zip(topics.images, nodes, strict=True) if node is None]
     if names:
         problem = f"no calibration: no CameraInfo beside {' and '.join(names)}"
         raise CalibrationError.at(bag.path, problem, _CHAIN)
     if chain is None:
         problem = "CameraInfo has the cameras, but not where they are on the IMU"
         raise CalibrationError.at(bag.path, problem, f"give {_MOUNT}")
-    left, right = (node for node in nodes if node is not None)
     mount = read_kalibr_mount(chain)
+    known = [node for node in nodes if node is not None]
+    if len(known) == 1:
+        camera = (read_camera(known[0]),)
+        rig = make_rig(bag.path, camera, (mount.T_imu_cam0,), mount.time_offset_s)
+        return Calibration(rig, mount.imu_noise, ("cam0",))
+    left, right = known
     cameras = read_camera(left), read_camera(right)
     T_cam1_cam0 = right_from_left(left, right)
     if np.linalg.norm(T_cam1_cam0[:3, 3]) < 1e-6:

@@ -8,7 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ovmot.datasets.bag.calibration import bag_calibration
+from ovmot.datasets.bag.calibration import (
+    bag_calibration,
+    given_calibration,
+    topics_of_cameras,
+)
 from ovmot.datasets.bag.file import Bag, BagMessage
 from ovmot.datasets.bag.images import stored_image
 from ovmot.datasets.bag.topics import BagTopics, FoundTopics, find_topics
@@ -18,7 +22,7 @@ from ovmot.datasets.frames import paired_stamps
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.sequence import RecordedSequence, StoredImage, StoredPair, covered_frames
 from ovmot.datasets.text_tables import StampedTable
-from ovmot.errors import DatasetError
+from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
@@ -27,9 +31,10 @@ _TOGETHER_NS = 5_000_000  # drivers stamp the two images of one exposure apart b
 
 @dataclass(frozen=True, slots=True)
 class BagSequence(RecordedSequence):
-    """Stereo pairs in a bag.
+    """Stereo pairs in a bag, or the images of its one camera.
 
-    `right_ns` (M,) are the stamps of the right images, `frame_ns` those of the left ones.
+    `right_ns` (M,) are the stamps of the right images, `frame_ns` those of the left ones, and of
+    the one camera.
     `received_ns` (M, 2): when the earlier and the later image of each pair was recorded.
     """
 
@@ -40,6 +45,9 @@ class BagSequence(RecordedSequence):
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         """Pairs in order; images wait in memory only while they wait for their partner."""
+        if self.topics.right is None:
+            yield from self._singles(first, stop)
+            return
         order = deque(self.frame_ns[first:stop].tolist())
         left: dict[int, StoredImage] = {}
         right: dict[int, StoredImage] = {}
@@ -60,8 +68,28 @@ class BagSequence(RecordedSequence):
                     next_ns = order.popleft()
                     yield left.pop(next_ns), right.pop(next_ns)
         if order:
-            problem = f"image pair {order[0]} ns is no longer there"
-            raise DatasetError.at(self.bag, problem, "leave the bag alone during a run")
+            raise _gone(self.bag, f"image pair {order[0]} ns")
+
+    def _singles(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
+        """The images of the one camera, in order of their stamps."""
+        order, received = deque(self.frame_ns[first:stop].tolist()), self.received_ns[first:stop]
+        waiting: dict[int, StoredImage] = {}
+        wanted = set(order)
+        with Bag(self.bag) as bag:
+            begin, end = int(received.min()), int(received.max()) + 1
+            for message in bag.messages([self.topics.left], begin, end):
+                stamp = _stamp(message)
+                if stamp in wanted:
+                    wanted.remove(stamp)
+                    waiting[stamp] = stored_image(message.value, _where(self.bag, message))
+                while order and order[0] in waiting:
+                    yield waiting.pop(order.popleft()), None
+        if order:
+            raise _gone(self.bag, f"image {order[0]} ns")
+
+
+def _gone(path: Path, what: str) -> InputError:
+    return DatasetError.at(path, f"{what} is no longer there", "leave the bag alone during a run")
 
 
 def read_bag(
@@ -75,10 +103,18 @@ def read_bag(
     """
     findings = Findings()
     with Bag(path) as bag:
-        topics = find_topics(path, bag.types, asked)
-        found = bag_calibration(bag, topics, calibration)
+        given = given_calibration(calibration, asked)
+        asked = topics_of_cameras(bag, given, asked)
+        n_cameras = given.rig.n_cameras if isinstance(given, Calibration) else 2
+        topics = find_topics(path, bag.types, asked, n_cameras)
+        found = bag_calibration(bag, topics, given)
         scan = _scan(bag, topics)
-    left, right = (_distinct(scan, topic, path, findings) for topic in (topics.left, topics.right))
+    if found.note is not None:
+        findings.note("cameras_of_the_chain", 1, found.note)
+    if topics.right is None:
+        findings.note("one_camera", 1, f"{path}: one camera, {topics.left}")
+    seen = [_distinct(scan, topic, path, findings) for topic in topics.images]
+    left, right = seen[0], seen[-1]
     partner = _partners(sorted(left), sorted(right))
     own_ns = {partner.get(stamp, stamp): stamp for stamp in right}
     frame_ns = paired_stamps(left.keys(), own_ns.keys(), path, findings)
@@ -122,8 +158,8 @@ class _Scan:
 
 def _scan(bag: Bag, topics: FoundTopics) -> _Scan:
     """One pass over the bag; raises `DatasetError` for an image of an unknown encoding."""
-    scan = _Scan({topics.left: [], topics.right: []})
-    wanted = [t for t in (topics.left, topics.right, topics.imu) if t is not None]
+    scan = _Scan({topic: [] for topic in topics.images})
+    wanted = [*topics.images, *([] if topics.imu is None else [topics.imu])]
     for message in bag.messages(wanted):
         if message.topic == topics.imu:
             gyro, accel = message.value.angular_velocity, message.value.linear_acceleration

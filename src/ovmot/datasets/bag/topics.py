@@ -22,25 +22,37 @@ class BagTopics:
 
 @dataclass(frozen=True, slots=True)
 class FoundTopics:
-    """The topics that are read; `imu` is None where the bag has none."""
+    """The topics that are read; `imu` is None where the bag has none, `right` with one camera."""
 
     left: str
-    right: str
+    right: str | None
     imu: str | None
 
+    @property
+    def images(self) -> tuple[str, ...]:
+        """Those of the cameras, left first."""
+        return (self.left,) if self.right is None else (self.left, self.right)
 
-def find_topics(path: Path, types: Mapping[str, str], asked: BagTopics) -> FoundTopics:
+
+def find_topics(
+    path: Path, types: Mapping[str, str], asked: BagTopics, n_cameras: int = 2
+) -> FoundTopics:
     """The topics of the cameras and the IMU among those of a bag (topic -> type).
 
-    Two image topics are left and right in the order of their names (left before right, cam0
-    before cam1). A compressed topic beside its raw one is the same camera. Raises `InputError`
-    with the candidates and the options where it is not clear which to take.
+    A bag of one image topic has one camera. `n_cameras`: that of the calibration; with 1, the left
+    topic alone is taken: the one that is named, or the first. Two image topics are left and right
+    in the order of their names (left before right, cam0 before cam1). A compressed topic beside its
+    raw one is the same camera. Raises `InputError` with the candidates and the options where it is
+    not clear which to take.
     """
     images = [topic for topic, kind in types.items() if kind in IMAGE_TYPES]
     left, right = (
         None if name is None else _named(path, name, images, option, "image")
         for name, option in ((asked.left, "--left"), (asked.right, "--right"))
     )
+    cameras = _cameras(images)
+    if right is None and (n_cameras == 1 or len(cameras) == 1) and cameras:
+        return FoundTopics(left or min(cameras), None, _imu(path, types, asked.imu))
     if left is None or right is None:
         left, right = _pair(path, images, left, right)
     if left == right:
@@ -48,11 +60,16 @@ def find_topics(path: Path, types: Mapping[str, str], asked: BagTopics) -> Found
     return FoundTopics(left, right, _imu(path, types, asked.imu))
 
 
+def _cameras(images: Sequence[str]) -> list[str]:
+    """The image topics, without compressed ones beside their raw one."""
+    return [t for t in images if t.removesuffix(_COMPRESSED) not in images or t == _raw(t)]
+
+
 def _pair(
     path: Path, images: Sequence[str], left: str | None, right: str | None
 ) -> tuple[str, str]:
     """Fill in the cameras that were not named."""
-    cameras = [t for t in images if t.removesuffix(_COMPRESSED) not in images or t == _raw(t)]
+    cameras = _cameras(images)
     others = [t for t in cameras if _raw(t) not in (_raw(left or ""), _raw(right or ""))]
     missing = [side for side, topic in (("left", left), ("right", right)) if topic is None]
     if len(others) != len(missing):

@@ -41,13 +41,14 @@ class EurocReader:
             raise InputError.at(root, "not a EuRoC folder", f"it needs {self.needs}")
         refuse_choice(root, sequence)
         findings = Findings()
+        known = calibration or sensor_calibration(mav, findings)
         return assemble(
             kind="euroc",
             name=sequence_folder(mav).name,
             root=root,
-            listing=asl_listing(mav, findings),
+            listing=asl_listing(mav, findings, known.cameras),
             imu=asl_imu(mav, imu_max_gap_s, findings),
-            calibration=calibration or sensor_calibration(mav, findings),
+            calibration=known,
             decode=read_grey,
             findings=findings,
         )

@@ -81,7 +81,7 @@ def _write(folder: Path, sequence: SequenceToWrite, form: str) -> Iterator[int]:
     def save(frame: FrameToWrite) -> None:
         name = f"{number[frame.frame.timestamp_ns]:010d}.png"
         write_png(drive / "image_00/data" / name, frame.frame.left)
-        write_png(drive / "image_01/data" / name, frame.frame.right)
+        write_png(drive / "image_01/data" / name, frame.frame.pair[1])
 
     yield from write_frames(folder, sequence, seen, save)
 

@@ -57,7 +57,7 @@ def _write(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     write_true_poses(folder, sequence)
 
     def save(frame: FrameToWrite) -> None:
-        for camera, image in zip(_CAMERAS, (frame.frame.left, frame.frame.right), strict=True):
+        for camera, image in zip(_CAMERAS, frame.frame.pair, strict=True):
             path = mav / camera / "data" / f"{frame.frame.timestamp_ns}.png"
             write_png(path, image.astype(np.uint16) * 257)  # the full range of 16 bits
 

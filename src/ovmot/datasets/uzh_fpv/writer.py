@@ -57,6 +57,6 @@ def _write(folder: Path, sequence: SequenceToWrite) -> Iterator[int]:
     def save(frame: FrameToWrite) -> None:
         n = number[frame.frame.timestamp_ns]
         write_png(folder / "img" / f"image_0_{n}.png", frame.frame.left)
-        write_png(folder / "img" / f"image_1_{n}.png", frame.frame.right)
+        write_png(folder / "img" / f"image_1_{n}.png", frame.frame.pair[1])
 
     yield from write_frames(folder, sequence, sequence.rig, save)

@@ -27,7 +27,7 @@ from ovmot.datasets.findings import Findings, note_no_imu_noise, refuse_choice
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.instance_masks import find_instance_images
 from ovmot.datasets.sequence import FolderSequence, assemble
-from ovmot.datasets.viode.calibration import read_vins
+from ovmot.datasets.vins import read_vins
 from ovmot.errors import InputError
 
 _SEGMENTATION = "segmentation"

@@ -61,7 +61,7 @@ def _write(folder: Path, sequence: SequenceToWrite, rig: StereoRig) -> Iterator[
 
     def save(frame: FrameToWrite) -> None:
         name = f"{frame.frame.timestamp_ns}.png"
-        views = (frame.frame.left, frame.left_id), (frame.frame.right, frame.right_id)
+        views = zip(frame.frame.pair, (frame.left_id, frame.right_id), strict=True)
         for camera, (grey, ids) in zip(_CAMERAS, views, strict=True):
             write_png(mav / camera / "data" / name, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
             write_png(mav / camera / "segmentation" / name, colours[ids][..., ::-1])
