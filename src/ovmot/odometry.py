@@ -35,6 +35,7 @@ from ovmot.interfaces import (
 from ovmot.objects.moving_objects import MovingObjects
 from ovmot.physics import MEMS_NOISE, PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
+from ovmot.segmentation.rig_body import no_rig_body, watch_rig_body, without_rig_body
 from ovmot.segmentation.segmentation import Segmentation, segment_points
 from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.settings import ImuSettings, Settings
@@ -47,6 +48,7 @@ from ovmot.types import (
     Health,
     ImuNoise,
     ImuSample,
+    Picture,
     PixelNoise,
     PointLabel,
     StereoFrame,
@@ -128,6 +130,7 @@ class Odometry:
         self._before_start = FrameBuffer(
             self._initializer, settings.initialization, motion_window_s(rig, settings)
         )
+        self.rig_body = no_rig_body(rig)
         self._resume_at: FloatArray | None = None
         self.not_started_because: str | None = None
         self.counts: Counter[str] = Counter(
@@ -227,11 +230,15 @@ class Odometry:
             source = self._source.propagate(frame.timestamp_ns, imu)
         # 2 track: temporal and stereo matching from predicted places, epipolar gate on every pair
         seen, matches, track_watch = tracked()
+        self._count_pictures(seen)
         pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
         # 3 segment: what the predicted motion does not explain leaves the filter for good
         with watch.stage("segment"):
             table, history, segmentation = self._segment(
                 append_frame(self._table, seen), seen, source, self._noise_in_use(pixel_sigma)
+            )
+            self.rig_body = watch_rig_body(
+                self.rig_body, history, seen.pixels, source.window(), source.calibrated_rig()
             )
         # 4 update: zero velocity, SLAM features in view, ended MSCKF features
         with watch.stage("update"):
@@ -292,6 +299,7 @@ class Odometry:
     ) -> FrameResult | None:
         """Look for an initial state; on success go through the frames up to this one."""
         seen, matches, watch = tracked
+        self._count_pictures(seen)
         self._before_start.append(seen, imu)
         with watch.stage("initialize"):
             started = self._initializer(self._before_start.frames, imu)
@@ -345,7 +353,10 @@ class Odometry:
         history = stereo_history(
             table, seen.feature_id, window.timestamp_ns, rig, settings.look_back_s, noise
         )
-        segmentation = segment_points(table, history, seen, window, rig, settings)
+        segmentation = without_rig_body(
+            segment_points(table, history, seen, window, rig, settings),
+            self.rig_body.shows(seen.pixels, rig),
+        )
         points = segmentation.points
         if segmentation.trusted:
             dynamic = points.label == int(PointLabel.DYNAMIC)
@@ -355,6 +366,12 @@ class Odometry:
         held = contained(points.feature_id, np.sort(self._feedback.held_id))
         outlier = segmentation.outlier | held
         return mark_outliers(table, points.feature_id, outlier), history, segmentation
+
+    def _count_pictures(self, seen: FrontendFrame) -> None:
+        """Count the pictures that were not matched, by camera and reason."""
+        for side, picture in zip(("left", "right"), seen.pictures, strict=True):
+            if picture != Picture.FINE:
+                self.counts[f"{side}_{picture}"] += 1
 
     def _watch_health(self, ego: EgoEstimate) -> None:
         """Count what is not well; where the motion is lost, initialize again at the last pose."""

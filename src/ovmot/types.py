@@ -56,6 +56,13 @@ class StereoFrame:
     right_mask: Image | None = None
     missing: tuple[int, ...] = ()
 
+    @property
+    def pair(self) -> tuple[Image, Image]:
+        """Both images; raises `OvmotError` where there is only one."""
+        if self.right is None:
+            raise OvmotError(f"frame {self.timestamp_ns}: one image where two were expected")
+        return self.left, self.right
+
 
 class Picture(StrEnum):
     """What a camera gave: a picture, or one that is not matched since it shows nothing of now.
@@ -69,13 +76,6 @@ class Picture(StrEnum):
     FLAT = "flat"
     REPEATED = "repeated"
     TORN = "torn"
-
-    @property
-    def pair(self) -> tuple[Image, Image]:
-        """Both images; raises `OvmotError` where there is only one."""
-        if self.right is None:
-            raise OvmotError(f"frame {self.timestamp_ns}: one image where two were expected")
-        return self.left, self.right
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,7 +102,7 @@ class KltTracker:
         return self.points
 
     def take_over(self, view: View, points: TrackedPoints) -> None:
-        """Go on with `points` that were found in this view otherwise; their patches are cut here."""
+        """Go on with `points`, found in this view otherwise; their patches are cut here."""
         self.patches = PatchStore()
         self.points = replace(points, slot=self.patches.add(view.words, points.uv))
         self._pyramid = view.pyramid

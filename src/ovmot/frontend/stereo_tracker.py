@@ -24,7 +24,14 @@ from ovmot.interfaces import Feedback
 from ovmot.physics import PIXEL_SIGMA
 from ovmot.runtime import helping_thread
 from ovmot.settings import EpipolarSettings, TrackerSettings
-from ovmot.types import FeatureFrame, FrontendFrame, Picture, StereoFrame, StereoMatches
+from ovmot.types import (
+    FeatureFrame,
+    FrontendFrame,
+    Picture,
+    StereoFrame,
+    StereoMatches,
+    no_features,
+)
 
 
 class StereoTracker:
@@ -119,7 +126,11 @@ class StereoTracker:
         else:
             pixels, normalized, matches = self._match_right(left, right, points, cell_px)
             self._p_cam0 = triangulate_stereo(normalized, self._rig.T_cam1_cam0)
-        self._last_right = right and seen_by_right(right, points, pixels, normalized, self._p_cam0)
+        self._last_right = (
+            None
+            if right is None
+            else seen_by_right(right, points, pixels, normalized, self._p_cam0)
+        )
         self._last_ns, self._T_since = timestamp_ns, np.eye(4)
         self._right_alone.end()
         seen = FrontendFrame(

@@ -15,7 +15,8 @@ from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.physics import RIG_REACH_M
-from ovmot.types import PixelNoise, PoseWindow
+from ovmot.segmentation.segmentation import Segmentation
+from ovmot.types import PixelNoise, PointLabel, PoseWindow
 
 _CELLS = 32
 """Columns of cells over a picture: those of `tracker.fine_columns`, one feature in each."""
@@ -144,3 +145,17 @@ def _cell_of(uv: FloatArray, camera: Camera) -> tuple[IntArray, IntArray, BoolAr
     column = (np.where(inside, u, 0.0) // px).astype(np.int64)
     row = (np.where(inside, v, 0.0) // px).astype(np.int64)
     return row, column, inside
+
+
+def without_rig_body(segmentation: Segmentation, on_rig: BoolArray) -> Segmentation:
+    """The segmentation with what lies on the rig (N,) kept from the filter and from the objects."""
+    if not on_rig.any():
+        return segmentation
+    points = segmentation.points
+    label = np.where(on_rig, int(PointLabel.UNKNOWN), points.label)
+    p_cam0 = np.where(on_rig[:, None], np.nan, points.p_cam0)
+    return replace(
+        segmentation,
+        points=replace(points, label=label, p_cam0=p_cam0),
+        outlier=segmentation.outlier | on_rig,
+    )

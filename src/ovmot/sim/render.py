@@ -118,11 +118,11 @@ def render_stereo(
         for i, time_ns in enumerate(times):
             left, right = (job.result() for job in ahead)
             ahead = start(times[i + 1]) if i + 1 < len(times) else []
-            images = [
+            exposed = [
                 expose(image, optics, float(gain), rng)
                 for image, gain in zip((left, right), gains[i], strict=True)
             ]
-            yield RenderedFrame(StereoFrame(time_ns, *images), left, right)
+            yield RenderedFrame(StereoFrame(time_ns, exposed[0], exposed[1]), left, right)
 
 
 def scene_view(
