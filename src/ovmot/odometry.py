@@ -35,7 +35,12 @@ from ovmot.interfaces import (
 from ovmot.objects.moving_objects import MovingObjects
 from ovmot.physics import MEMS_NOISE, PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
-from ovmot.segmentation.rig_body import no_rig_body, watch_rig_body, without_rig_body
+from ovmot.segmentation.rig_body import (
+    counted,
+    no_rig_body,
+    standing_features,
+    without_rig_body,
+)
 from ovmot.segmentation.segmentation import Segmentation, segment_points
 from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.settings import ImuSettings, Settings
@@ -237,9 +242,6 @@ class Odometry:
             table, history, segmentation = self._segment(
                 append_frame(self._table, seen), seen, source, self._noise_in_use(pixel_sigma)
             )
-            self.rig_body = watch_rig_body(
-                self.rig_body, history, seen.pixels, source.window(), source.calibrated_rig()
-            )
         # 4 update: zero velocity, SLAM features in view, ended MSCKF features
         with watch.stage("update"):
             source, table = source.update(table, history)
@@ -300,6 +302,10 @@ class Odometry:
         """Look for an initial state; on success go through the frames up to this one."""
         seen, matches, watch = tracked
         self._count_pictures(seen)
+        if any(picture != Picture.FINE for picture in seen.pictures):
+            self.not_started_because = f"pictures: {' and '.join(seen.pictures)}"
+            self.counts["frames_before_start"] += 1
+            return None
         self._before_start.append(seen, imu)
         with watch.stage("initialize"):
             started = self._initializer(self._before_start.frames, imu)
@@ -353,9 +359,11 @@ class Odometry:
         history = stereo_history(
             table, seen.feature_id, window.timestamp_ns, rig, settings.look_back_s, noise
         )
+        stands, moves = standing_features(history, window, rig)
+        self.rig_body = counted(self.rig_body, stands, moves, seen.pixels, rig)
         segmentation = without_rig_body(
             segment_points(table, history, seen, window, rig, settings),
-            self.rig_body.shows(seen.pixels, rig),
+            stands | self.rig_body.shows(seen.pixels, rig),
         )
         points = segmentation.points
         if segmentation.trusted:

@@ -8,6 +8,7 @@ at rest had to move there, and features that moved.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
@@ -16,6 +17,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.physics import RIG_REACH_M
 from ovmot.segmentation.segmentation import Segmentation
+from ovmot.segmentation.static_comparison import ego_motion_since
 from ovmot.types import PixelNoise, PointLabel, PoseWindow
 
 _CELLS = 32
@@ -41,8 +43,13 @@ class RigBody:
     def cells(self, side: int) -> BoolArray:
         """The cells (rows, columns) of a picture, 0 left, 1 right, that show the rig."""
         stood, moved = self.stood[side], self.moved[side]
-        certain: BoolArray = (stood >= _CERTAIN) & (stood >= _SHARE * (stood + moved))
-        return certain
+        mostly = stood >= _SHARE * (stood + moved)
+        certain = (stood >= _CERTAIN) & mostly
+        beside = (
+            ndimage.binary_dilation(certain, np.ones((3, 3), dtype=np.bool_)) & (stood > 0) & mostly
+        )
+        rig: BoolArray = certain | beside
+        return rig
 
     def shows(self, pixels: FloatArray, rig: StereoRig) -> BoolArray:
         """Which features (N,), by their pixels (N, 4), lie on the rig in either picture."""
@@ -73,25 +80,19 @@ def no_rig_body(rig: StereoRig) -> RigBody:
     return RigBody((left, right), (left, right))
 
 
-def watch_rig_body(
-    body: RigBody, history: StereoHistory, pixels: FloatArray, window: PoseWindow, rig: StereoRig
+def counted(
+    body: RigBody, stands: BoolArray, moves: BoolArray, pixels: FloatArray, rig: StereoRig
 ) -> RigBody:
-    """The counts with those of a newest frame.
-
-    `history` is that of its features, `pixels` (N, 4) where they are now. A feature is counted
-    that was seen at the history's oldest frame.
-    """
-    if len(history) == 0 or history.span_s[0] < _LEAST_SPAN_S:
-        return body
+    """The counts with those of a frame's features: which stand and which move (N,), by
+    `standing_features`, and their pixels (N, 4)."""
     stood, moved = list(body.stood), list(body.moved)
-    stands, moves = standing_features(history, window, rig)
     for side, camera in enumerate(rig.cameras):
         row, column, inside = _cell_of(pixels[:, 2 * side : 2 * side + 2], camera)
         for which, counts in ((stands, stood), (moves, moved)):
             at = which & inside
             counts[side] = counts[side].copy()
             np.add.at(counts[side], (row[at], column[at]), 1)
-    return replace(body, stood=(stood[0], stood[1]), moved=(moved[0], moved[1]))
+    return RigBody((stood[0], stood[1]), (moved[0], moved[1]))
 
 
 def standing_features(
@@ -99,31 +100,42 @@ def standing_features(
 ) -> tuple[BoolArray, BoolArray]:
     """Which features (N,) stand in the left picture although what is at rest moves, and which move.
 
-    Compared are the oldest frame of the history and now. Where a point within the rig's reach would
-    be, at rest, follows from its stereo pair; one of unknown depth, or farther, is expected where
-    the rotation alone leads it, since another vehicle can keep its distance, but not turn with the
-    rig. A feature stands that is within the noise of where it was, and off by ten times the noise
-    from where it is expected.
+    Each is compared with the oldest frame of the history that saw it. Where a point within the
+    rig's reach would be, at rest, follows from its stereo pair; one of unknown depth is expected
+    where the rotation alone leads it. A point farther away does not stand: another vehicle can keep
+    its distance, and in a bend its bearing too. A feature stands that is within the noise of where
+    it was, and off by ten times the noise from where it is expected.
     """
-    then, now, p_then = history.then[0, :, :2], history.now[:, :2], history.p_then[0]
-    clone = int(np.searchsorted(window.timestamp_ns, history.clone_ns[0]))
-    T_world_then, T_world_now = window.T_world_imu[clone], window.T_world_imu[-1]
-    T_now_then = (
-        se3.inverse(rig.T_imu_cam0) @ se3.inverse(T_world_now) @ T_world_then @ rig.T_imu_cam0
-    )
-    near = p_then[:, 2] < RIG_REACH_M
-    ray = np.concatenate([then, np.ones((len(then), 1))], axis=1)
-    expected = np.where(near[:, None], se3.apply(T_now_then, p_then), ray @ T_now_then[:3, :3].T)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        expected_xy = expected[:, :2] / expected[:, 2:]
-        in_front = expected[:, 2] > 0.0
-        way = np.linalg.norm(now - then, axis=1) * rig.cam0.fx
-        off = np.linalg.norm(expected_xy - then, axis=1) * rig.cam0.fx
-        noise = _way_sigma_px(history.noise, int(history.n_frames[0]))
-        must_move = (off > 10.0 * noise) | (near & ~in_front)
-        stands: BoolArray = must_move & (way < 3.0 * noise)
-        moves: BoolArray = way > 6.0 * noise
+    stands, moves, open_ = (np.zeros(len(history.now), dtype=np.bool_) for _ in range(3))
+    open_[:] = True
+    T_now_then = ego_motion_since(history, window, rig).T_now_then
+    for k in np.flatnonzero(history.span_s >= _LEAST_SPAN_S):
+        seen = open_ & np.isfinite(history.then[k, :, 0])
+        sigma_px = _way_sigma_px(history.noise, int(history.n_frames[k]))
+        way_px = rig.cam0.fx * np.linalg.norm(history.now[:, :2] - history.then[k, :, :2], axis=1)
+        off_px = _expected_way_px(history.then[k, :, :2], history.p_then[k], T_now_then[k], rig)
+        with np.errstate(invalid="ignore"):
+            stands |= seen & (off_px > 10.0 * sigma_px) & (way_px < 3.0 * sigma_px)
+            moves |= seen & (way_px > 6.0 * sigma_px)
+        open_ &= ~seen
     return stands, moves
+
+
+def _expected_way_px(
+    then: FloatArray, p_then: FloatArray, T_now_then: FloatArray, rig: StereoRig
+) -> FloatArray:
+    """How far (N,) points at rest move in the left picture, pixels: infinite for those that the rig
+    has passed by, NaN beyond its reach.
+
+    `then` (N, 2): normalized coordinates; `p_then` (N, 3): positions, metres, NaN where unknown.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unknown, far = np.isnan(p_then[:, 2]), p_then[:, 2] >= RIG_REACH_M
+        ray = np.concatenate([then, np.ones((len(then), 1))], axis=1)
+        turned, moved = ray @ T_now_then[:3, :3].T, se3.apply(T_now_then, p_then)
+        now = np.where(unknown[:, None], turned, moved)
+        way = rig.cam0.fx * np.linalg.norm(now[:, :2] / now[:, 2:] - then, axis=1)
+        return np.where(far, np.nan, np.where(now[:, 2] > 0.0, way, np.inf))
 
 
 def _way_sigma_px(noise: PixelNoise, n_frames: int) -> float:
