@@ -22,8 +22,6 @@ from ovmot.types import PixelNoise, PointLabel, PoseWindow
 
 _CELLS = 32
 """Columns of cells over a picture: those of `tracker.fine_columns`, one feature in each."""
-_LEAST_SPAN_S = 0.3
-"""Shorter comparisons are left out: within them what stands in the picture may just be far."""
 _CERTAIN = 20
 """Times that a feature was seen to stand in a cell, until it counts as the rig's: two seconds at
 10 Hz. One that slides over the street does not stand that long."""
@@ -109,7 +107,7 @@ def standing_features(
     stands, moves, open_ = (np.zeros(len(history.now), dtype=np.bool_) for _ in range(3))
     open_[:] = True
     T_now_then = ego_motion_since(history, window, rig).T_now_then
-    for k in np.flatnonzero(history.span_s >= _LEAST_SPAN_S):
+    for k in range(len(history)):
         seen = open_ & np.isfinite(history.then[k, :, 0])
         sigma_px = _way_sigma_px(history.noise, int(history.n_frames[k]))
         way_px = rig.cam0.fx * np.linalg.norm(history.now[:, :2] - history.then[k, :, :2], axis=1)
