@@ -1,12 +1,14 @@
-"""Dynamic initialization with one camera: closed form in velocity, gravity and point positions.
+"""Dynamic initialization with one camera: the path of the rays, and the scale by the IMU.
 
 The gyroscope gives the rotations R_k, with the bias by which they agree with the images: each pair
 of frames has one direction of translation that lies in all epipolar planes (L. Kneip and S. Lynen,
-"Direct optimization of frame-to-frame rotation", ICCV 2013). Then every view of a point p is linear
-in p and in velocity v and gravity g of the first frame, since the camera stands at
-v t_k + g t_k²/2 + α_k + R_k p_cam, with α_k from the accelerometer; |g| is known (T.-C. Dong-Si and
-A. Mourikis, "Estimator initialization in vision-aided inertial navigation with unknown camera-IMU
-calibration", IROS 2012). The accelerometer's bias is left to the bundle adjustment.
+"Direct optimization of frame-to-frame rotation", ICCV 2013). Then every view is linear in its point
+and in the position of the camera. With the points eliminated, the rays alone give the path up to
+its scale; where that fails, the path is the one that the IMU allows, v t_k + g t_k²/2 + α_k +
+R_k p_cam with α_k from the accelerometer and |g| known (T.-C. Dong-Si and A. Mourikis, "Estimator
+initialization in vision-aided inertial navigation with unknown camera-IMU calibration", IROS 2012).
+Scale, velocity and gravity are those by which the IMU measures the path. The accelerometer's bias
+is left to the bundle adjustment.
 """
 
 from collections.abc import Callable, Sequence
@@ -82,22 +84,7 @@ def monocular_initialization(
     R = np.array([np.eye(3), *(m.imu.R_world_imu for m in motion)])
     alpha = np.array([np.zeros(3), *(m.imu.position for m in motion)])
     moved = alpha + (R - np.eye(3)) @ rig.T_imu_cam0[:3, 3]
-    reasons: list[str] = []
-    for solve in (_by_rays, _by_imu(t, moved, prior.gravity)):
-        path = _camera_path(tracks, R @ R_imu_cam, sigma, solve)
-        least = max(MIN_POINTS, round(_LEAST_SHARE * len(path.agree)))
-        aligned = _aligned_with_imu(path.position, t, moved, prior.gravity)
-        if path.agree.sum() < least:
-            n, of = int(path.agree.sum()), len(path.agree)
-            reasons.append(
-                f"{n} of {of} points agree with one path of the camera (at least {least})"
-            )
-        elif not aligned.scale > 0.0:
-            reasons.append("one camera needs accelerations to know the scale")
-        else:
-            break
-    else:
-        raise InitializationError("; ".join(dict.fromkeys(reasons)))
+    path, aligned = _path_and_scale(tracks, t, R @ R_imu_cam, moved, sigma, prior.gravity)
     v, g, zero = aligned.velocity, aligned.gravity, np.zeros(3)
     p = v * t[:, None] + 0.5 * g * t[:, None] ** 2 + alpha
     R_world_first = gravity_aligned_rotation(-g)
@@ -106,9 +93,35 @@ def monocular_initialization(
     return DynamicSolution(first, T, tracks.feature_id[path.agree])
 
 
+def _path_and_scale(
+    tracks: _Tracks,
+    t: FloatArray,
+    R_first_cam: FloatArray,
+    moved: FloatArray,
+    sigma: float,
+    gravity: float,
+) -> tuple["_Path", "_Alignment"]:
+    """The first path of the two that agrees with enough points, and how the IMU measures it."""
+    reasons: list[str] = []
+    for solve in (_by_rays, _by_imu(t, moved, gravity)):
+        path = _camera_path(tracks, R_first_cam, sigma, solve)
+        aligned = _aligned_with_imu(path.position, t, moved, gravity)
+        agree, of = int(path.agree.sum()), len(path.agree)
+        least = max(MIN_POINTS, round(_LEAST_SHARE * of))
+        if agree < least:
+            reasons.append(f"{agree} of {of} points agree on a path (at least {least})")
+        elif not aligned.scale > 0.0:
+            reasons.append("one camera needs accelerations to know the scale")
+        else:
+            return path, aligned
+    raise InitializationError("; ".join(dict.fromkeys(reasons)))
+
+
 def _tracks(frames: Sequence[FrontendFrame], most: int = 200) -> _Tracks:
     """The longest tracks of the left camera, at most `most`."""
-    ids, counts = np.unique(np.concatenate([f.feature_id for f in frames]), return_counts=True)
+    seen = [np.isfinite(frame.normalized[:, 0]) for frame in frames]
+    all_ids = [frame.feature_id[ok] for frame, ok in zip(frames, seen, strict=True)]
+    ids, counts = np.unique(np.concatenate(all_ids), return_counts=True)
     longest = np.argsort(-counts, kind="stable")[:most]
     ids = np.sort(ids[longest[counts[longest] >= _LEAST_VIEWS]])
     xy = np.full((len(frames), len(ids), 2), np.nan)
