@@ -158,7 +158,7 @@ class InitializationSettings(Section):
     """Length of stereo motion that a start in motion solves over."""
     mono_window_s: float = Field(2.0, gt=0.3)
     """The same without stereo matches: the scale is in the accelerations alone."""
-    mono_scale_sigma: float = Field(0.05, gt=0.0)
+    mono_scale_sigma: float = Field(0.1, gt=0.0)
     """Such a start waits until the standard deviation of the scale is below this share of it."""
     accel_bias_sigma_mps2: float = Field(0.05, gt=0.0)
     """Standard deviation of the accelerometer bias that a start expects."""

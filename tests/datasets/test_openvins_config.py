@@ -255,6 +255,24 @@ def test_euroc_as_it_is_on_real_images(
 
 
 @pytest.mark.slow
+def test_euroc_with_one_camera_started_in_motion(
+    data_root: Path, ovmot_command: Callable[..., Any], config: Path, tmp_path: Path
+) -> None:
+    folder = data_root / "euroc_mh01"
+    if not folder.is_dir() or config.parent.name != "euroc":
+        pytest.skip(f"{folder} is missing, or not for this configuration")
+    edit(config, "max_cameras: 2", "max_cameras: 1")
+    chain = config.with_name("kalibr_imucam_chain.yaml")
+    chain.write_text(chain.read_text().split("\ncam1:")[0])
+    outcome = ovmot_command("run", folder, "-o", tmp_path / "out", "--config", config)
+    assert outcome.code == 0, outcome.err
+    assert "objects are off" in outcome.err
+    assert_follows(tmp_path / "out", folder, moved_m=0.3, atol=0.04)
+    told = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert told["counts"]["frames_before_start"] < 40
+
+
+@pytest.mark.slow
 def test_kaist_on_rendered_images(
     simulated_street: Callable[[str], Path], ovmot_command: Callable[..., Any], tmp_path: Path
 ) -> None:

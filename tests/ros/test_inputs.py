@@ -52,3 +52,13 @@ def test_no_calibration_is_an_input_error(tmp_path: Path) -> None:
 
 def test_a_folder_of_data_is_a_calibration(painted_euroc: Path) -> None:
     assert live_calibration(painted_euroc).rig.cam0.width > 0
+
+
+def test_a_calibration_of_one_camera_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "chain.yaml").write_text(
+        "cam0:\n  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+        "  camera_model: ds\n  intrinsics: [-0.2, 0.6, 150.0, 150.0, 255.0, 255.0]\n"
+        "  resolution: [512, 512]\n"
+    )
+    with pytest.raises(InputError, match="has one camera, a live node needs two"):
+        live_calibration(tmp_path / "chain.yaml")

@@ -204,7 +204,8 @@ def _start(data: Mapping[str, Any]) -> _Mapped:
     """The window is that of dynamic initialization where OpenVINS would try it."""
     if "init_window_time" not in data:
         return {}, set()
-    name = "motion_window_s" if data.get("init_dyn_use") else "window_s"
+    in_motion = "mono_window_s" if data.get("max_cameras") == 1 else "motion_window_s"
+    name = in_motion if data.get("init_dyn_use") else "window_s"
     return {f"initialization.{name}": data["init_window_time"]}, {"init_window_time"}
 
 

@@ -64,11 +64,15 @@ def why_silent(topic: InputTopic, published: Mapping[str, str]) -> str:
 def live_calibration(path: Path | None) -> Calibration:
     """The calibration in a Kalibr chain, a rig's file of VINS, or the folder of a data set.
 
-    Raises `InputError` where there is none.
+    Raises `InputError` where there is none, or one of one camera.
     """
     if path is None:
         raise InputError("no calibration: give --calibration FILE (Kalibr chain) or ~calibration")
     if path.is_dir() and recognise(path):
         sequence = open_sequence(path)
         return Calibration(sequence.rig, sequence.imu_noise)
-    return read_calibration(path)
+    calibration = read_calibration(path)
+    if calibration.rig.n_cameras == 1:
+        problem = "has one camera, a live node needs two"
+        raise InputError.at(path, problem, "run recordings of one camera with 'ovmot run'")
+    return calibration
