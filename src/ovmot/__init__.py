@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ovmot.cameras.rig import StereoRig
     from ovmot.datasets.bag.topics import BagTopics
     from ovmot.datasets.openvins_config import load_run_config
-    from ovmot.datasets.registry import DATASETS, WRITERS
+    from ovmot.datasets.registry import DATASETS, PRESETS, WRITERS
     from ovmot.datasets.registry import open_recording as open
     from ovmot.datasets.sequence import RecordedSequence
     from ovmot.errors import CalibrationError, DatasetError, InputError, OvmotError
@@ -60,6 +60,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CAMERA_MODELS",
     "DATASETS",
+    "PRESETS",
     "SCENES",
     "WRITERS",
     "BagTopics",
@@ -113,7 +114,7 @@ _HOMES = {
     "cameras.rig": "StereoRig",
     "datasets.bag.topics": "BagTopics",
     "datasets.openvins_config": "load_run_config",
-    "datasets.registry": "DATASETS WRITERS open_recording",
+    "datasets.registry": "DATASETS PRESETS WRITERS open_recording",
     "datasets.sequence": "RecordedSequence",
     "errors": "CalibrationError DatasetError InputError OvmotError",
     "frontend.given_features": "GivenFeatures",

@@ -45,6 +45,7 @@ from ovmot.cli.options import (
     RightOption,
     SequenceOption,
     SetOption,
+    preset_lines,
 )
 from ovmot.ros.bag_output import BagOutput
 
@@ -89,7 +90,7 @@ def _root(
         raise typer.Exit
 
 
-@app.command()
+@app.command(epilog="\n\n".join(preset_lines()))
 def run(
     data: Annotated[
         Path,
@@ -104,7 +105,10 @@ def run(
     imu: ImuOption = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS."),
+        typer.Option(
+            help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS; overrules"
+            f" the format's preset ({', '.join(ovmot.PRESETS)}; see below)."
+        ),
     ] = None,
     set_: SetOption = None,
     ego: Annotated[
@@ -145,16 +149,16 @@ def run(
     first_use = nothing_is_compiled()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
     given = ovmot.load_run_config(config, overrides)
-    settings = given.settings
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(
             data,
             format,
             sequence,
             calibration or given.calibration,
-            settings.imu.max_gap_s,
+            given.imu_max_gap_s,
             ovmot.BagTopics(left, right, imu),
         )
+    settings = recorded.settings(given.settings)
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
@@ -290,16 +294,20 @@ def warmup() -> None:
 
 @app.command()
 def settings() -> None:
-    """List every setting with its type, default and meaning."""
+    """List every setting with its type, default and meaning, and the presets of formats."""
     console = Console()
     if not console.is_terminal:
         for key, kind, default, meaning in ovmot.describe_settings():
             typer.echo(f"{key} = {default}  ({kind}) {meaning}")
+        for line in preset_lines():
+            typer.echo(line)
         return
     table = Table(Column("setting", no_wrap=True), "type", "default", "meaning")
     for row in ovmot.describe_settings():
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)
+    for line in preset_lines():
+        console.print(Text(line))
 
 
 def _bag_output(

@@ -17,6 +17,7 @@ from ovmot.datasets.calibration import (
     load_calibration_yaml,
 )
 from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.presets import given_max_gap_s
 from ovmot.errors import InputError
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings, make_settings, read_yaml_mapping
@@ -106,6 +107,11 @@ class RunConfig:
     calibration: Calibration | None = None
     mask_files: tuple[Path | None, Path | None] = (None, None)
     warnings: tuple[str, ...] = ()
+
+    @property
+    def imu_max_gap_s(self) -> float | None:
+        """The setting `imu.max_gap_s` where it was given."""
+        return given_max_gap_s(self.settings)
 
 
 def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunConfig:

@@ -5,7 +5,7 @@ writer, and a line in `DATASETS`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -21,8 +21,9 @@ from ovmot.datasets.kaist.reader import KaistReader
 from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.datasets.kalibr import read_kalibr
 from ovmot.datasets.kitti.reader import KittiReader
-from ovmot.datasets.kitti_raw.reader import KittiRawReader
+from ovmot.datasets.kitti_raw.reader import KittiRawReader, has_sparse_imu
 from ovmot.datasets.kitti_raw.writer import write_kitti_extract, write_kitti_sync
+from ovmot.datasets.presets import Preset, shipped_preset
 from ovmot.datasets.sequence import FolderSequence, RecordedSequence
 from ovmot.datasets.tum_vi.reader import TumViReader
 from ovmot.datasets.tum_vi.writer import write_tum_vi
@@ -32,7 +33,7 @@ from ovmot.datasets.viode.reader import ViodeReader
 from ovmot.datasets.viode.writer import write_viode
 from ovmot.datasets.writing import Writer
 from ovmot.errors import InputError
-from ovmot.settings import ImuSettings
+from ovmot.settings import ImuSettings, Settings
 from ovmot.text_files import StrPath
 
 
@@ -61,10 +62,12 @@ _GIVE = "give the folder of a recorded sequence, or a ROS bag (.bag, .mcap, .db3
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """A kind of data set: how its folders are read, and the writers of its formats by name."""
+    """A kind of data set: how its folders are read, the writers of its formats by name, and the
+    settings that it wants."""
 
     reader: Reader
     writers: Mapping[str, Writer] = field(default_factory=dict)
+    preset: Preset | None = None
 
 
 DATASETS: dict[str, Dataset] = {
@@ -72,10 +75,12 @@ DATASETS: dict[str, Dataset] = {
     "kaist": Dataset(KaistReader(), {"kaist": write_kaist}),
     "kitti": Dataset(KittiReader()),
     "kitti_raw": Dataset(
-        KittiRawReader(), {"kitti_sync": write_kitti_sync, "kitti_extract": write_kitti_extract}
+        KittiRawReader(),
+        {"kitti_sync": write_kitti_sync, "kitti_extract": write_kitti_extract},
+        shipped_preset("kitti_raw", "kitti_raw", has_sparse_imu),
     ),
     "tum_vi": Dataset(TumViReader(), {"tum_vi": write_tum_vi}),
-    "viode": Dataset(ViodeReader(), {"viode": write_viode}),
+    "viode": Dataset(ViodeReader(), {"viode": write_viode}, shipped_preset("viode", "viode")),
     "uzh_fpv": Dataset(UzhFpvReader(), {"uzh_fpv": write_uzh_fpv}),
     "4seasons": Dataset(FourSeasonsReader(), {"4seasons": write_four_seasons}),
 }
@@ -84,6 +89,11 @@ WRITERS: dict[str, Writer] = {
     name: write for kind in DATASETS.values() for name, write in kind.writers.items()
 }
 """The writers of all data sets by the name of their format."""
+
+PRESETS: dict[str, Preset] = {
+    name: kind.preset for name, kind in DATASETS.items() if kind.preset is not None
+}
+"""The presets of all data sets by the name of the format."""
 
 
 def open_recording(
@@ -107,7 +117,8 @@ def open_recording(
     calibration
         A Kalibr chain (a file, or a folder with one) or a value, in place of the data's own.
     imu_max_gap_s
-        The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported.
+        The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported. None for the
+        preset's, else the default.
     topics
         Those of a bag, where they cannot be found by their types.
 
@@ -147,11 +158,10 @@ def open_sequence(
         raise InputError.at(root, "not a folder, and not a bag", _GIVE)
     chain = _as_calibration(calibration)
     given = read_kalibr(chain) if isinstance(chain, Path) else chain
-    gap = _gap(imu_max_gap_s)
     if format is not None:
         if format not in DATASETS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
-        return DATASETS[format].reader.read(root, sequence, given, gap)
+        return _read(format, root, sequence, given, imu_max_gap_s)
     kinds = recognise(root)
     if not kinds and sequence is not None and len(recognise(root / sequence)) == 1:
         return open_sequence(root / sequence, None, None, given, imu_max_gap_s)
@@ -159,7 +169,25 @@ def open_sequence(
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
         raise InputError.at(root, what, f"choose with --format. Known: {known}")
-    return DATASETS[kinds[0]].reader.read(root, sequence, given, gap)
+    return _read(kinds[0], root, sequence, given, imu_max_gap_s)
+
+
+def _read(
+    kind: str,
+    root: Path,
+    sequence: str | None,
+    calibration: Calibration | None,
+    max_gap_s: float | None,
+) -> FolderSequence:
+    """The sequence with its preset; a noise of the IMU that the calibration says overrules it."""
+    data = DATASETS[kind]
+    preset = data.preset if data.preset and data.preset.serves(root, sequence) else None
+    if max_gap_s is None and preset is not None:
+        max_gap_s = preset.under(Settings()).imu.max_gap_s
+    found = data.reader.read(root, sequence, calibration, _gap(max_gap_s))
+    if preset is not None and found.imu_noise is not None:
+        preset = preset.without_noise()
+    return replace(found, preset=preset)
 
 
 def recognise(path: Path) -> list[str]:

@@ -13,10 +13,12 @@ from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
 from ovmot.datasets.instance_masks import InstanceImages
+from ovmot.datasets.presets import Preset
 from ovmot.datasets.stream import events
 from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image, IntArray
+from ovmot.settings import Settings
 from ovmot.types import Event, ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
@@ -43,7 +45,8 @@ class RecordedSequence(ABC):
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
     `instances` are there where the data has images of what each pixel shows. `warnings` are
-    sentences for the user; `counts` the numbers behind them.
+    sentences for the user; `counts` the numbers behind them. `preset` are the settings that this
+    kind of data wants.
 
     Its length is M; iterated over, it gives the events of all frames (see `stream.events`).
     """
@@ -59,9 +62,15 @@ class RecordedSequence(ABC):
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
     instances: InstanceImages | None = None
+    preset: Preset | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
+
+    def settings(self, given: Settings | None = None) -> Settings:
+        """The settings for this data: what is given, else its preset's, else the defaults."""
+        chosen = given or Settings()
+        return chosen if self.preset is None else self.preset.under(chosen)
 
     def __iter__(self) -> Iterator[Event]:
         return events(self)

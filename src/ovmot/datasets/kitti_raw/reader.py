@@ -28,6 +28,7 @@ from ovmot.types import ImuData
 _FIELDS = 30
 _ACCEL, _GYRO = 11, 17  # ax ay az, wx wy wz
 _NO_STAMP = -1
+_DENSE = 3  # samples an image: `_sync` has 1, `_extract` 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ class KittiRawReader:
         imu_max_gap_s: float,
     ) -> FolderSequence:
         """Describe the drive; raises `InputError` and its children for what is wrong."""
-        drive = self._choose(root, sequence)
+        drive = _choose(root, sequence)
         findings = Findings()
         left, right = (numbered_images(camera / "data") for camera in drive.cameras)
         listing = pair_images(left, right, drive.folder, findings)
@@ -80,23 +81,37 @@ class KittiRawReader:
             numbers=listing.frame_ns,
         )
 
-    def _choose(self, root: Path, sequence: str | None) -> _Drive:
-        drive = _drive(root)
-        if drive is not None:
-            if sequence is not None:
-                remedy = f"leave out '--sequence {sequence}'"
-                raise InputError.at(root, "holds one drive", remedy)
-            return drive
-        drives = _drives_below(root)
-        known = f"there are: {', '.join(drives)}" if drives else f"it needs {self.needs}"
-        if sequence is not None and sequence in drives:
-            return drives[sequence]
+
+def has_sparse_imu(root: Path, sequence: str | None) -> bool:
+    """Is the IMU of a drive recorded at the rate of its images, as in the `_sync` form?
+
+    Raises `InputError` where `sequence` names none of several drives.
+    """
+    drive = _choose(root, sequence)
+    packets, images = (drive.folder / "oxts" / "data", drive.cameras[0] / "data")
+    n_packets, n_images = (
+        sum(1 for _ in f.iterdir()) if f.is_dir() else 0 for f in (packets, images)
+    )
+    return 0 < n_packets < _DENSE * n_images
+
+
+def _choose(root: Path, sequence: str | None) -> _Drive:
+    drive = _drive(root)
+    if drive is not None:
         if sequence is not None:
-            raise InputError.at(root, f"no drive '{sequence}'", known)
-        if len(drives) != 1:
-            problem = f"{len(drives)} drives" if drives else "not a KITTI raw folder"
-            raise InputError.at(root, problem, f"choose one with --sequence; {known}")
-        return next(iter(drives.values()))
+            remedy = f"leave out '--sequence {sequence}'"
+            raise InputError.at(root, "holds one drive", remedy)
+        return drive
+    drives = _drives_below(root)
+    known = f"there are: {', '.join(drives)}" if drives else f"it needs {KittiRawReader.needs}"
+    if sequence is not None and sequence in drives:
+        return drives[sequence]
+    if sequence is not None:
+        raise InputError.at(root, f"no drive '{sequence}'", known)
+    if len(drives) != 1:
+        problem = f"{len(drives)} drives" if drives else "not a KITTI raw folder"
+        raise InputError.at(root, problem, f"choose one with --sequence; {known}")
+    return next(iter(drives.values()))
 
 
 def _drive(folder: Path) -> _Drive | None:
