@@ -89,7 +89,11 @@ def _run(job: RunJob) -> None:
 
 
 def _run_folder(job: RunJob, data: Path, truth: Path) -> None:
-    sequence = open_sequence(data, imu_max_gap_s=given_max_gap_s(job.settings))
+    sequence = open_sequence(
+        data,
+        imu_max_gap_s=given_max_gap_s(job.settings),
+        pair_tolerance_s=job.settings.recording.pair_tolerance_s,
+    )
     options = RunOptions(job.folder, save_points=True, force=True)
     run_sequence(sequence, sequence.settings(job.settings), options)
     write_metrics(job.folder, evaluate(job.folder, truth))

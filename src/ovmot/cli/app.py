@@ -157,6 +157,7 @@ def run(
             calibration or given.calibration,
             given.imu_max_gap_s,
             ovmot.BagTopics(left, right, imu),
+            given.settings.recording.pair_tolerance_s,
         )
     settings = recorded.settings(given.settings)
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))

@@ -44,14 +44,17 @@ def sequence_folder(mav: Path) -> Path:
     return mav.resolve().parent if mav.resolve().name == "mav0" else mav.resolve()
 
 
-def asl_listing(mav: Path, findings: Findings) -> StereoListing:
-    """The stereo pairs of `cam0` and `cam1`; raises `DatasetError` where there are none."""
+def asl_listing(mav: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
+    """The stereo pairs of `cam0` and `cam1`, stamps at most `tolerance_ns` apart.
+
+    Raises `DatasetError` where there are none.
+    """
     (listed_left, left), (listed_right, right) = (
         _images(mav / camera, findings) for camera in ("cam0", "cam1")
     )
     stamps, found = listed_left | listed_right, left.keys() | right.keys()
     note_missing_images(stamps, found, mav / "cam0" / "data.csv", findings)
-    return pair_images(left, right, mav, findings)
+    return pair_images(left, right, mav, findings, tolerance_ns)
 
 
 def asl_imu(mav: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

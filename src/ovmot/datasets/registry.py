@@ -17,6 +17,7 @@ from ovmot.datasets.euroc.reader import EurocReader
 from ovmot.datasets.euroc.writer import write_asl
 from ovmot.datasets.four_seasons.reader import FourSeasonsReader
 from ovmot.datasets.four_seasons.writer import write_four_seasons
+from ovmot.datasets.frames import ReadingLimits
 from ovmot.datasets.kaist.reader import KaistReader
 from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.datasets.kalibr import read_kalibr
@@ -33,7 +34,7 @@ from ovmot.datasets.viode.reader import ViodeReader
 from ovmot.datasets.viode.writer import write_viode
 from ovmot.datasets.writing import Writer
 from ovmot.errors import InputError
-from ovmot.settings import ImuSettings, Settings
+from ovmot.settings import Settings
 from ovmot.text_files import StrPath
 
 
@@ -51,7 +52,7 @@ class Reader(Protocol):
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe a sequence, with the folder's own calibration unless one is given."""
         ...
@@ -103,6 +104,7 @@ def open_recording(
     calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
+    pair_tolerance_s: float | None = None,
 ) -> RecordedSequence:
     """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
@@ -121,6 +123,8 @@ def open_recording(
         preset's, else the default.
     topics
         Those of a bag, where they cannot be found by their types.
+    pair_tolerance_s
+        The setting `recording.pair_tolerance_s`: so far apart may a pair's stamps be.
 
     Returns
     -------
@@ -138,9 +142,10 @@ def open_recording(
     if bag is None:
         if topics is not None:
             _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
-        return open_sequence(root, format, sequence, given, imu_max_gap_s)
+        return open_sequence(root, format, sequence, given, imu_max_gap_s, pair_tolerance_s)
     _refuse(root, "is a bag", format=format, sequence=sequence)
-    return read_bag(bag, topics or BagTopics(), given, _gap(imu_max_gap_s))
+    limits = _limits(imu_max_gap_s, pair_tolerance_s)
+    return read_bag(bag, topics or BagTopics(), given, limits)
 
 
 def open_sequence(
@@ -149,6 +154,7 @@ def open_sequence(
     sequence: str | None = None,
     calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
+    pair_tolerance_s: float | None = None,
 ) -> FolderSequence:
     """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
     root = Path(path)
@@ -161,15 +167,15 @@ def open_sequence(
     if format is not None:
         if format not in DATASETS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
-        return _read(format, root, sequence, given, imu_max_gap_s)
+        return _read(format, root, sequence, given, imu_max_gap_s, pair_tolerance_s)
     kinds = recognise(root)
     if not kinds and sequence is not None and len(recognise(root / sequence)) == 1:
-        return open_sequence(root / sequence, None, None, given, imu_max_gap_s)
+        return open_sequence(root / sequence, None, None, given, imu_max_gap_s, pair_tolerance_s)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
         raise InputError.at(root, what, f"choose with --format. Known: {known}")
-    return _read(kinds[0], root, sequence, given, imu_max_gap_s)
+    return _read(kinds[0], root, sequence, given, imu_max_gap_s, pair_tolerance_s)
 
 
 def _read(
@@ -178,13 +184,14 @@ def _read(
     sequence: str | None,
     calibration: Calibration | None,
     max_gap_s: float | None,
+    pair_tolerance_s: float | None,
 ) -> FolderSequence:
     """The sequence with its preset; a noise of the IMU that the calibration says overrules it."""
     data = DATASETS[kind]
     preset = data.preset if data.preset and data.preset.serves(root, sequence) else None
     if max_gap_s is None and preset is not None:
         max_gap_s = preset.under(Settings()).imu.max_gap_s
-    found = data.reader.read(root, sequence, calibration, _gap(max_gap_s))
+    found = data.reader.read(root, sequence, calibration, _limits(max_gap_s, pair_tolerance_s))
     if preset is not None and found.imu_noise is not None:
         preset = preset.without_noise()
     return replace(found, preset=preset)
@@ -199,8 +206,13 @@ def _as_calibration(given: StrPath | Calibration | None) -> Path | Calibration |
     return given if given is None or isinstance(given, Calibration) else Path(given)
 
 
-def _gap(given_s: float | None) -> float:
-    return ImuSettings().max_gap_s if given_s is None else given_s
+def _limits(imu_max_gap_s: float | None, pair_tolerance_s: float | None) -> ReadingLimits:
+    limits = ReadingLimits()
+    if imu_max_gap_s is not None:
+        limits = replace(limits, imu_max_gap_s=imu_max_gap_s)
+    if pair_tolerance_s is not None:
+        limits = replace(limits, pair_tolerance_s=pair_tolerance_s)
+    return limits
 
 
 def _refuse(path: Path, why: str, **options: str | None) -> None:

@@ -82,11 +82,16 @@ class RecordedSequence(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderSequence(RecordedSequence):
-    """Stereo pairs in files; `decode` turns a file into a grey image."""
+    """Stereo pairs in files; `decode` turns a file into a grey image.
+
+    `listing` has all images that were found: also those that the IMU does not cover, and, see
+    `frames.listed_frames`, those without a partner.
+    """
 
     left_paths: tuple[Path, ...]
     right_paths: tuple[Path, ...]
     decode: Decode
+    listing: StereoListing
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         for index in range(first, stop):
@@ -134,6 +139,7 @@ def assemble(
         left_paths=tuple(listing.left_paths[i] for i in keep),
         right_paths=tuple(listing.right_paths[i] for i in keep),
         decode=decode,
+        listing=listing,
         warnings=tuple(findings.warnings),
         counts=dict(findings.counts),
         instances=instances,

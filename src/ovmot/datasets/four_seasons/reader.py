@@ -15,6 +15,7 @@ from ovmot.cameras.camera import Camera
 from ovmot.datasets.calibration import Calibration, load_calibration_yaml, make_rig
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
     checked_stamps,
     images_in,
@@ -55,7 +56,7 @@ class FourSeasonsReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
@@ -66,26 +67,26 @@ class FourSeasonsReader:
             kind="4seasons",
             name=root.resolve().name,
             root=root,
-            listing=_listing(root, findings),
-            imu=_imu(root / "imu.txt", imu_max_gap_s, findings),
+            listing=_listing(root, findings, limits.pair_tolerance_ns),
+            imu=_imu(root / "imu.txt", limits.imu_max_gap_s, findings),
             calibration=calibration or _calibration(root, findings),
             decode=read_grey,
             findings=findings,
         )
 
 
-def _listing(root: Path, findings: Findings) -> StereoListing:
+def _listing(root: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
     folders = root / _IMAGES / "cam0", root / _IMAGES / "cam1"
     for folder in folders:
         images_in(folder)  # a missing folder is the clearer error
     listed = root / "times.txt"
     if not listed.exists():
         left, right = (numbered_images(folder) for folder in folders)
-        return pair_images(left, right, root, findings)
+        return pair_images(left, right, root, findings, tolerance_ns)
     stamps = checked_stamps(read_stamped_list(listed), findings)
-    left, right = (present_images(stamps, folder, listed) for folder in folders)
+    left, right = (present_images(stamps, folder, listed, tolerance_ns) for folder in folders)
     note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings)
+    return pair_images(left, right, root, findings, tolerance_ns)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

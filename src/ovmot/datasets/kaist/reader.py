@@ -5,6 +5,7 @@ from pathlib import Path
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
     checked_stamps,
     images_in,
@@ -47,15 +48,15 @@ class KaistReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
             raise InputError.at(root, "not a KAIST folder", f"it needs {self.needs}")
         refuse_choice(root, sequence)
         findings = Findings()
-        listing = _listing(root, findings)
-        imu = _imu(root / "sensor_data" / "xsens_imu.csv", imu_max_gap_s, findings)
+        listing = _listing(root, findings, limits.pair_tolerance_ns)
+        imu = _imu(root / "sensor_data" / "xsens_imu.csv", limits.imu_max_gap_s, findings)
         found = calibration or read_kaist_calibration(root / "calibration")
         name = root.resolve().name
         return assemble(
@@ -70,19 +71,19 @@ class KaistReader:
         )
 
 
-def _listing(root: Path, findings: Findings) -> StereoListing:
+def _listing(root: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
     folders = root / "image" / "stereo_left", root / "image" / "stereo_right"
     listed = root / "sensor_data" / "stereo_stamp.csv"
     for folder in folders:
         images_in(folder)
     if not listed.exists():
         left, right = (numbered_images(folder) for folder in folders)
-        return pair_images(left, right, root, findings)
+        return pair_images(left, right, root, findings, tolerance_ns)
     stamps = checked_stamps(read_stamped_names(listed), findings)
     bare = dict.fromkeys(stamps, "")
-    left, right = (present_images(bare, folder, listed) for folder in folders)
+    left, right = (present_images(bare, folder, listed, tolerance_ns) for folder in folders)
     note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings)
+    return pair_images(left, right, root, findings, tolerance_ns)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

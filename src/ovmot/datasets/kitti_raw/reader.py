@@ -8,13 +8,14 @@ orientation and velocity are truth, and not read.
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu
-from ovmot.datasets.frames import StereoListing, numbered_images, pair_images
+from ovmot.datasets.frames import ReadingLimits, StereoListing, numbered_images, pair_images
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kitti_raw.calibration import CAMERAS_FILE, read_kitti_raw_calibration
@@ -59,22 +60,22 @@ class KittiRawReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the drive; raises `InputError` and its children for what is wrong."""
         drive = _choose(root, sequence)
         findings = Findings()
         left, right = (numbered_images(camera / "data") for camera in drive.cameras)
         listing = pair_images(left, right, drive.folder, findings)
-        imu = _imu(drive.folder / "oxts", imu_max_gap_s, findings)
+        imu = _imu(drive.folder / "oxts", limits.imu_max_gap_s, findings)
         found = calibration or _calibration(drive, listing)
-        stamps = _frame_stamps(drive.cameras[0] / "timestamps.txt", listing)
+        times = partial(_frame_stamps, drive.cameras[0] / "timestamps.txt")
         return assemble(
             kind="kitti_raw",
             name=drive.folder.resolve().name,
             root=root,
             calibration=found,
-            listing=StereoListing(stamps, listing.left_paths, listing.right_paths),
+            listing=listing.stamped(times),
             imu=imu,
             decode=read_grey,
             findings=findings,
@@ -136,12 +137,12 @@ def _calibration(drive: _Drive, listing: StereoListing) -> Calibration:
     return read_kitti_raw_calibration(place, drive.left, size, rectified)
 
 
-def _frame_stamps(path: Path, listing: StereoListing) -> IntArray:
-    """Stamps (M,) in ns of the frames that `listing` numbers."""
-    stamps = _at(_read_times(path), listing.frame_ns, path)
+def _frame_stamps(path: Path, numbers: IntArray) -> IntArray:
+    """Stamps (M,) in ns of the frames of these numbers (M,)."""
+    stamps = _at(_read_times(path), numbers, path)
     backwards = np.flatnonzero(np.diff(stamps) <= 0)
     if len(backwards):
-        row = int(listing.frame_ns[backwards[0] + 1]) + 1
+        row = int(numbers[backwards[0] + 1]) + 1
         problem = "the time does not lie after that of the frame before"
         raise DatasetError.at(path, problem, "take the frame's images out", row=row)
     return stamps

@@ -11,6 +11,7 @@ from ovmot.datasets.asl import asl_imu, asl_listing
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
     checked_stamps,
     note_missing_images,
@@ -45,7 +46,7 @@ class TumViReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         dso = _dso(root)
@@ -55,11 +56,11 @@ class TumViReader:
         findings = Findings()
         mav = dso.parent / "mav0"
         if (mav / "cam0").is_dir():
-            listing = asl_listing(mav, findings)
-            imu = asl_imu(mav, imu_max_gap_s, findings)
+            listing = asl_listing(mav, findings, limits.pair_tolerance_ns)
+            imu = asl_imu(mav, limits.imu_max_gap_s, findings)
         else:
-            listing = _dso_listing(dso, findings)
-            imu = _dso_imu(dso / "imu.txt", imu_max_gap_s, findings)
+            listing = _dso_listing(dso, findings, limits.pair_tolerance_ns)
+            imu = _dso_imu(dso / "imu.txt", limits.imu_max_gap_s, findings)
         return assemble(
             kind="tum_vi",
             name=dso.resolve().parent.name,
@@ -80,7 +81,7 @@ def _dso(root: Path) -> Path | None:
     return None
 
 
-def _dso_listing(dso: Path, findings: Findings) -> StereoListing:
+def _dso_listing(dso: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
     """Pairs by `times.txt`, whose rows begin with the stamp in ns: the name of the image."""
     stamps: set[int] = set()
     images: list[dict[int, Path]] = []
@@ -92,7 +93,7 @@ def _dso_listing(dso: Path, findings: Findings) -> StereoListing:
         images.append(present_images(bare, dso / camera / "images", listed))
     left, right = images
     note_missing_images(stamps, left.keys() | right.keys(), dso / "cam0" / "times.txt", findings)
-    return pair_images(left, right, dso, findings)
+    return pair_images(left, right, dso, findings, tolerance_ns)
 
 
 def _dso_imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

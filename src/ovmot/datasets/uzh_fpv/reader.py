@@ -10,6 +10,7 @@ from pathlib import Path
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
     checked_stamps,
     note_missing_images,
@@ -45,7 +46,7 @@ class UzhFpvReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
@@ -56,15 +57,15 @@ class UzhFpvReader:
             kind="uzh_fpv",
             name=root.resolve().name,
             root=root,
-            listing=_listing(root, findings),
-            imu=_imu(root / "imu.txt", imu_max_gap_s, findings),
+            listing=_listing(root, findings, limits.pair_tolerance_ns),
+            imu=_imu(root / "imu.txt", limits.imu_max_gap_s, findings),
             calibration=calibration or _calibration(root, findings),
             decode=read_grey,
             findings=findings,
         )
 
 
-def _listing(root: Path, findings: Findings) -> StereoListing:
+def _listing(root: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
     stamps: set[int] = set()
     images: list[dict[int, Path]] = []
     for name in _LISTS:
@@ -77,7 +78,7 @@ def _listing(root: Path, findings: Findings) -> StereoListing:
         images.append(found)
     left, right = images
     note_missing_images(stamps, left.keys() | right.keys(), root / _LISTS[0], findings)
-    return pair_images(left, right, root, findings)
+    return pair_images(left, right, root, findings, tolerance_ns)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
