@@ -21,6 +21,7 @@ from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
 from ovmot.batch.plan import read_plan
 from ovmot.batch.summary import summary_tables
 from ovmot.batch.work import work
+from ovmot.cli.calibrate import calibrate
 from ovmot.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FAILED,
@@ -283,6 +284,7 @@ def batch(
 
 
 app.command()(doctor)
+app.command()(calibrate)
 app.command()(ros)
 app.command()(ros2)
 

@@ -14,7 +14,8 @@ SequenceOption = Annotated[
     str | None, typer.Option(help="Which sequence, where the folder holds several.")
 ]
 CalibrationOption = Annotated[
-    Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
+    Path | None,
+    typer.Option(help="Kalibr chain, or a data set's folder, in place of the data's calibration."),
 ]
 LeftOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's left camera; else found.")

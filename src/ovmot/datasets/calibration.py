@@ -157,8 +157,9 @@ def read_pinhole(node: CalibrationNode, coefficients_key: str) -> Camera:
     size = node.size("resolution")
     if min(fx, fy) <= 0.0:
         raise node.fail("intrinsics", f"focal lengths {fx:g}, {fy:g} are not positive")
+    skew = node.number("skew") if node.has("skew") else 0.0  # of ours: see `kalibr.write_chain`
     try:
-        return Camera.make(size, (fx, fy), (cx, cy), distortion_model, distortion)
+        return Camera.make(size, (fx, fy), (cx, cy), distortion_model, distortion, skew=skew)
     except CalibrationError as error:
         raise node.fail(coefficients_key, str(error)) from None
 

@@ -19,15 +19,26 @@ class ReadingLimits:
     """Up to where the reader of a folder or bag takes what is not as it should be.
 
     `imu_max_gap_s`: a longer hole in the IMU's samples is reported. `pair_tolerance_s`: so far
-    apart may the stamps of the two images of a pair be.
+    apart may the stamps of the two images of a pair be. `need_pairs`: whether a camera without
+    images is an error; else its frames are listed as single images of the other one.
     """
 
     imu_max_gap_s: float = ImuSettings().max_gap_s
     pair_tolerance_s: float = RecordingSettings().pair_tolerance_s
+    need_pairs: bool = True
 
     @property
     def pair_tolerance_ns(self) -> int:
         return round(self.pair_tolerance_s * 1e9)
+
+    @property
+    def by_number(self) -> "ReadingLimits":
+        """For images that are paired by frame numbers."""
+        return replace(self, pair_tolerance_s=0.0)
+
+
+class NoImagesError(DatasetError):
+    """A camera has no images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +53,12 @@ class StereoListing:
     right_paths: tuple[Path, ...]
     left_alone: Mapping[int, Path] = field(default_factory=dict)
     right_alone: Mapping[int, Path] = field(default_factory=dict)
+
+    @property
+    def any_path(self) -> Path:
+        """One of the images."""
+        alone = *self.left_alone.values(), *self.right_alone.values()
+        return next(iter((*self.left_paths, *alone)))
 
     def stamped(self, stamps_of: Callable[[IntArray], IntArray]) -> "StereoListing":
         """The same by stamps in ns, where it is by frame numbers; `stamps_of` (K,) numbers."""
@@ -87,14 +104,27 @@ def _restamped(
 
 
 def images_in(folder: Path) -> dict[str, Path]:
-    """The image files of a folder by name; raises `DatasetError` if it is missing or has none."""
+    """The image files of a folder by name; raises `NoImagesError` if it is missing or has none."""
     if not folder.is_dir():
-        raise DatasetError.at(folder, "no such folder", "the images of one camera belong here")
+        raise NoImagesError.at(folder, "no such folder", "the images of one camera belong here")
     names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
     found = {name: folder / name for name in names if not name.startswith(".")}
     if not found:
-        raise DatasetError.at(folder, "no images in this folder", f"known: {' '.join(SUFFIXES)}")
+        raise NoImagesError.at(folder, "no images in this folder", f"known: {' '.join(SUFFIXES)}")
     return found
+
+
+def camera_images(
+    read: Callable[[], dict[int, Path]], limits: ReadingLimits, findings: Findings
+) -> dict[int, Path]:
+    """The images that `read` finds; none, noted, where that serves too (`limits.need_pairs`)."""
+    try:
+        return read()
+    except NoImagesError as error:
+        if limits.need_pairs:
+            raise
+        findings.note("camera_missing", 1, str(error))
+        return {}
 
 
 def numbered_images(folder: Path) -> dict[int, Path]:
@@ -133,7 +163,7 @@ def present_images(
     """The images of those listed stamps that have one, by stamp.
 
     A stamp listed without a file name means `<stamp>.png`, else the image whose own stamp, its
-    name, is the nearest within `tolerance_ns`; it keeps its own. Raises `DatasetError` if none is
+    name, is the nearest within `tolerance_ns`; it keeps its own. Raises `NoImagesError` if none is
     there.
     """
     files = images_in(folder)
@@ -149,7 +179,7 @@ def present_images(
         found |= {s: own[s] for s in match_stamps(nameless, others, tolerance_ns).values()}
     if not found:
         problem = f"none of its {len(stamps)} stamps has an image in {folder}"
-        raise DatasetError.at(listed_in, problem, "file names are the stamps in nanoseconds")
+        raise NoImagesError.at(listed_in, problem, "file names are the stamps in nanoseconds")
     return found
 
 
@@ -170,10 +200,10 @@ def pair_images(
     right: Mapping[int, Path],
     root: Path,
     findings: Findings,
-    tolerance_ns: int = 0,
+    limits: ReadingLimits,
 ) -> StereoListing:
     """The pairs of images by stamp (or number), as `pair_stamps`."""
-    left_ns, right_ns = pair_stamps(left.keys(), right.keys(), root, findings, tolerance_ns)
+    left_ns, right_ns = pair_stamps(left.keys(), right.keys(), root, findings, limits)
     pairs_left, pairs_right = left_ns.tolist(), right_ns.tolist()
     return StereoListing(
         left_ns,
@@ -189,16 +219,19 @@ def pair_stamps(
     right: Collection[int],
     root: Path,
     findings: Findings,
-    tolerance_ns: int,
+    limits: ReadingLimits,
 ) -> tuple[IntArray, IntArray]:
     """Stamps in ns of the M pairs, left (M,) and right (M,), both rising.
 
-    A pair are two images nearest to each other, at most `tolerance_ns` apart. What has no partner
-    is counted, and so are pairs of unequal stamps. Raises `DatasetError` where there is no pair.
+    A pair are two images nearest to each other, at most `limits.pair_tolerance_s` apart. What has
+    no partner is counted, and so are pairs of unequal stamps. Raises `DatasetError` where there is
+    no pair, unless one camera has no images and that serves too.
     """
-    partner = match_stamps(left, right, tolerance_ns)
-    if not partner:
-        raise DatasetError.at(root, _no_pairs(left, right), _pair_remedy(tolerance_ns))
+    partner = match_stamps(left, right, limits.pair_tolerance_ns)
+    one_camera = bool(left) != bool(right)
+    if not partner and (limits.need_pairs or not one_camera):
+        problem, remedy = _no_pairs(left, right), _pair_remedy(limits.pair_tolerance_ns)
+        raise DatasetError.at(root, problem, remedy)
     left_ns = np.array(list(partner), dtype=np.int64)
     right_ns = np.array(list(partner.values()), dtype=np.int64)
     alone = len(left) - len(partner), len(right) - len(partner)
@@ -208,8 +241,9 @@ def pair_stamps(
     )
     findings.note("unpaired_images", sum(alone), text)
     apart_ns = np.abs(right_ns - left_ns)
+    most_ms = 1e-6 * apart_ns.max(initial=0)
     text = (
-        f"{root}: the stamps of left and right differ by up to {1e-6 * apart_ns.max():.3g} ms:"
+        f"{root}: the stamps of left and right differ by up to {most_ms:.3g} ms:"
         " paired by the nearest, the left one's counts"
     )
     findings.note("pairs_of_unequal_stamps", int(np.count_nonzero(apart_ns)), text)

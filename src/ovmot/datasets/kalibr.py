@@ -114,7 +114,7 @@ def _time_offset(cam0: CalibrationNode, cam1: CalibrationNode) -> float:
 
 
 def check_rig(folder: Path, rig: StereoRig) -> None:
-    """Raise `InputError` for a rig that a Kalibr chain cannot hold: one with skew."""
+    """Raise `InputError` for a rig that Kalibr's own files cannot hold: one with skew."""
     for camera in rig.cameras:
         if camera.intrinsics[4] != 0.0:
             problem = f"Kalibr calibration cannot hold a skew of {camera.intrinsics[4]:g}"
@@ -122,7 +122,10 @@ def check_rig(folder: Path, rig: StereoRig) -> None:
 
 
 def write_chain(path: Path, rig: StereoRig) -> None:
-    """`cam0`, `cam1` with `T_cam_imu`, and `timeshift_cam_imu`: t_imu = t_cam + shift."""
+    """`cam0`, `cam1` with `T_cam_imu`, and `timeshift_cam_imu`: t_imu = t_cam + shift.
+
+    A skew is written as `skew`, a key that only ovmot reads.
+    """
     values = {}
     for name, other, camera, T_imu_cam in (
         ("cam0", 1, rig.cam0, rig.T_imu_cam0),
@@ -139,8 +142,23 @@ def write_chain(path: Path, rig: StereoRig) -> None:
             "rostopic": f"/{name}/image_raw",
             "timeshift_cam_imu": rig.time_offset_s,
         }
+        if camera.intrinsics[4] != 0.0:
+            values[name]["skew"] = float(camera.intrinsics[4])
     values["cam1"]["T_cn_cnm1"] = rig.T_cam1_cam0.tolist()
     write_yaml(path, values)
+
+
+def write_imu_chain(path: Path, imu_noise: ImuNoise, rate_hz: float) -> None:
+    """`kalibr_imu_chain.yaml` as OpenVINS has it: `imu0`, the body frame, with its noise."""
+    imu0 = {
+        "T_i_b": np.eye(4).tolist(),
+        **{key: getattr(imu_noise, name) for name, key in NOISE_KEYS.items()},
+        "model": "calibrated",
+        "rostopic": "/imu0",
+        "time_offset": 0.0,
+        "update_rate": rate_hz,
+    }
+    write_yaml(path, {"imu0": imu0})
 
 
 def write_noise(path: Path, imu_noise: ImuNoise, rate_hz: float) -> None:

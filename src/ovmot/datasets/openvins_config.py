@@ -87,7 +87,7 @@ _MARKS = PLAIN.keys() | WORDS.keys() | ALWAYS.keys() | _JOINT
 
 _CAMERA_KEYS = {
     "T_imu_cam", "T_cam_imu", "T_cn_cnm1", "camera_model", "distortion_coeffs", "distortion_model",
-    "intrinsics", "resolution", "timeshift_cam_imu",
+    "intrinsics", "resolution", "skew", "timeshift_cam_imu",
 }  # fmt: skip
 _NOISE = "noise_density", "random_walk"
 _IDENTITIES: dict[str, list[list[float]]] = {

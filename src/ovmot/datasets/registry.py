@@ -20,7 +20,7 @@ from ovmot.datasets.four_seasons.writer import write_four_seasons
 from ovmot.datasets.frames import ReadingLimits
 from ovmot.datasets.kaist.reader import KaistReader
 from ovmot.datasets.kaist.writer import write_kaist
-from ovmot.datasets.kalibr import read_kalibr
+from ovmot.datasets.kalibr import CHAIN_FILE, read_kalibr
 from ovmot.datasets.kitti.reader import KittiReader
 from ovmot.datasets.kitti_raw.reader import KittiRawReader, has_sparse_imu
 from ovmot.datasets.kitti_raw.writer import write_kitti_extract, write_kitti_sync
@@ -105,6 +105,7 @@ def open_recording(
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
     pair_tolerance_s: float | None = None,
+    need_pairs: bool = True,
 ) -> RecordedSequence:
     """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
@@ -117,7 +118,8 @@ def open_recording(
     sequence
         Which one, where the folder holds several.
     calibration
-        A Kalibr chain (a file, or a folder with one) or a value, in place of the data's own.
+        A Kalibr chain (a file, or a folder with one), the folder of a data set, or a value, in
+        place of the data's own.
     imu_max_gap_s
         The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported. None for the
         preset's, else the default.
@@ -125,6 +127,9 @@ def open_recording(
         Those of a bag, where they cannot be found by their types.
     pair_tolerance_s
         The setting `recording.pair_tolerance_s`: so far apart may a pair's stamps be.
+    need_pairs
+        Whether a folder without images of one camera is an error; else it is a sequence of no
+        frames, to be examined.
 
     Returns
     -------
@@ -142,7 +147,9 @@ def open_recording(
     if bag is None:
         if topics is not None:
             _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
-        return open_sequence(root, format, sequence, given, imu_max_gap_s, pair_tolerance_s)
+        return open_sequence(
+            root, format, sequence, given, imu_max_gap_s, pair_tolerance_s, need_pairs
+        )
     _refuse(root, "is a bag", format=format, sequence=sequence)
     limits = _limits(imu_max_gap_s, pair_tolerance_s)
     return read_bag(bag, topics or BagTopics(), given, limits)
@@ -155,6 +162,7 @@ def open_sequence(
     calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     pair_tolerance_s: float | None = None,
+    need_pairs: bool = True,
 ) -> FolderSequence:
     """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
     root = Path(path)
@@ -164,18 +172,20 @@ def open_sequence(
         raise InputError.at(root, "not a folder, and not a bag", _GIVE)
     chain = _as_calibration(calibration)
     given = read_kalibr(chain) if isinstance(chain, Path) else chain
+    limits = _limits(imu_max_gap_s, pair_tolerance_s, need_pairs)
     if format is not None:
         if format not in DATASETS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
-        return _read(format, root, sequence, given, imu_max_gap_s, pair_tolerance_s)
+        return _read(format, root, sequence, given, limits, imu_max_gap_s)
     kinds = recognise(root)
     if not kinds and sequence is not None and len(recognise(root / sequence)) == 1:
-        return open_sequence(root / sequence, None, None, given, imu_max_gap_s, pair_tolerance_s)
+        root, sequence = root / sequence, None
+        kinds = recognise(root)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
         raise InputError.at(root, what, f"choose with --format. Known: {known}")
-    return _read(kinds[0], root, sequence, given, imu_max_gap_s, pair_tolerance_s)
+    return _read(kinds[0], root, sequence, given, limits, imu_max_gap_s)
 
 
 def _read(
@@ -183,15 +193,15 @@ def _read(
     root: Path,
     sequence: str | None,
     calibration: Calibration | None,
-    max_gap_s: float | None,
-    pair_tolerance_s: float | None,
+    limits: ReadingLimits,
+    given_max_gap_s: float | None,
 ) -> FolderSequence:
     """The sequence with its preset; a noise of the IMU that the calibration says overrules it."""
     data = DATASETS[kind]
     preset = data.preset if data.preset and data.preset.serves(root, sequence) else None
-    if max_gap_s is None and preset is not None:
-        max_gap_s = preset.under(Settings()).imu.max_gap_s
-    found = data.reader.read(root, sequence, calibration, _limits(max_gap_s, pair_tolerance_s))
+    if given_max_gap_s is None and preset is not None:
+        limits = replace(limits, imu_max_gap_s=preset.under(Settings()).imu.max_gap_s)
+    found = data.reader.read(root, sequence, calibration, limits)
     if preset is not None and found.imu_noise is not None:
         preset = preset.without_noise()
     return replace(found, preset=preset)
@@ -203,11 +213,21 @@ def recognise(path: Path) -> list[str]:
 
 
 def _as_calibration(given: StrPath | Calibration | None) -> Path | Calibration | None:
-    return given if given is None or isinstance(given, Calibration) else Path(given)
+    """A data set's folder as its own calibration; what else is given is a chain."""
+    if given is None or isinstance(given, Calibration):
+        return given
+    path = Path(given)
+    if not path.is_dir() or (path / CHAIN_FILE).exists() or not recognise(path):
+        return path
+    sequence = open_sequence(path)
+    return Calibration(sequence.rig, sequence.imu_noise)
 
 
-def _limits(imu_max_gap_s: float | None, pair_tolerance_s: float | None) -> ReadingLimits:
-    limits = ReadingLimits()
+def _limits(
+    imu_max_gap_s: float | None, pair_tolerance_s: float | None, need_pairs: bool = True
+) -> ReadingLimits:
+    """The limits that are given, the defaults for those that are not."""
+    limits = ReadingLimits(need_pairs=need_pairs)
     if imu_max_gap_s is not None:
         limits = replace(limits, imu_max_gap_s=imu_max_gap_s)
     if pair_tolerance_s is not None:

@@ -125,7 +125,7 @@ def assemble(
         problem = f"{len(stamps)} stereo pairs within {stamps[-1] - stamps[0]} ns"
         raise DatasetError.at(root, problem, "stamps are nanoseconds: convert them")
     keep = np.arange(len(listing.frame_ns))
-    if imu is not None:
+    if imu is not None and len(stamps):
         keep = covered_frames(listing.frame_ns, imu, calibration.rig.time_offset_s, root, findings)
     return FolderSequence(
         kind=kind,

@@ -77,9 +77,7 @@ def read_bag(
         found = bag_calibration(bag, topics, calibration)
         scan = _scan(bag, topics)
     left, right = (_distinct(scan, topic, path, findings) for topic in (topics.left, topics.right))
-    frame_ns, right_ns = pair_stamps(
-        left.keys(), right.keys(), path, findings, limits.pair_tolerance_ns
-    )
+    frame_ns, right_ns = pair_stamps(left.keys(), right.keys(), path, findings, limits)
     imu = None
     if topics.imu is not None:
         imu = _imu(path, topics.imu, scan, limits.imu_max_gap_s, findings)

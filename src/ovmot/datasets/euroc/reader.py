@@ -46,7 +46,7 @@ class EurocReader:
             kind="euroc",
             name=sequence_folder(mav).name,
             root=root,
-            listing=asl_listing(mav, findings, limits.pair_tolerance_ns),
+            listing=asl_listing(mav, findings, limits),
             imu=asl_imu(mav, limits.imu_max_gap_s, findings),
             calibration=calibration or sensor_calibration(mav, findings),
             decode=read_grey,

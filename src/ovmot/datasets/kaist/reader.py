@@ -1,5 +1,6 @@
 """KAIST Complex Urban folders: raw Bayer stereo images and an Xsens IMU."""
 
+from functools import partial
 from pathlib import Path
 
 from ovmot.datasets.calibration import Calibration
@@ -7,8 +8,8 @@ from ovmot.datasets.findings import Findings, note_no_imu, refuse_choice
 from ovmot.datasets.frames import (
     ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
-    images_in,
     note_missing_images,
     numbered_images,
     pair_images,
@@ -55,7 +56,7 @@ class KaistReader:
             raise InputError.at(root, "not a KAIST folder", f"it needs {self.needs}")
         refuse_choice(root, sequence)
         findings = Findings()
-        listing = _listing(root, findings, limits.pair_tolerance_ns)
+        listing = _listing(root, findings, limits)
         imu = _imu(root / "sensor_data" / "xsens_imu.csv", limits.imu_max_gap_s, findings)
         found = calibration or read_kaist_calibration(root / "calibration")
         name = root.resolve().name
@@ -71,19 +72,25 @@ class KaistReader:
         )
 
 
-def _listing(root: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
+def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     folders = root / "image" / "stereo_left", root / "image" / "stereo_right"
     listed = root / "sensor_data" / "stereo_stamp.csv"
-    for folder in folders:
-        images_in(folder)
     if not listed.exists():
-        left, right = (numbered_images(folder) for folder in folders)
-        return pair_images(left, right, root, findings, tolerance_ns)
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings) for folder in folders
+        )
+        return pair_images(left, right, root, findings, limits)
     stamps = checked_stamps(read_stamped_names(listed), findings)
     bare = dict.fromkeys(stamps, "")
-    left, right = (present_images(bare, folder, listed, tolerance_ns) for folder in folders)
+    left, right = (
+        camera_images(
+            partial(present_images, bare, folder, listed, limits.pair_tolerance_ns),
+            limits, findings,
+        )
+        for folder in folders
+    )  # fmt: skip
     note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings, tolerance_ns)
+    return pair_images(left, right, root, findings, limits)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

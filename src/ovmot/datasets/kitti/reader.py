@@ -8,7 +8,7 @@ import numpy as np
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.frames import ReadingLimits, numbered_images, pair_images
+from ovmot.datasets.frames import ReadingLimits, camera_images, numbered_images, pair_images
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.kitti.calibration import read_kitti_calibration
 from ovmot.datasets.sequence import FolderSequence, assemble
@@ -52,9 +52,12 @@ class KittiReader:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         layout = self._layout(root, sequence)
         findings = Findings()
-        left, right = (numbered_images(folder) for folder in layout.images)
-        listing = pair_images(left, right, layout.images[0].parent, findings)
-        size = image_size(listing.left_paths[0])
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings)
+            for folder in layout.images
+        )
+        listing = pair_images(left, right, layout.images[0].parent, findings, limits.by_number)
+        size = image_size(listing.any_path)
         found = calibration or read_kitti_calibration(layout.calibration, layout.left, size)
         return assemble(
             kind="kitti",
@@ -136,7 +139,8 @@ def _stamps(times: Path | None, frame_numbers: IntArray) -> IntArray:
         if len(stamps) > 1 and stamps[-1] <= stamps[-2]:
             problem = "the time does not lie after that of the row above"
             raise DatasetError.at(times, problem, "times rise from row to row", row=row)
-    if frame_numbers.max() >= len(stamps):
-        problem = f"{len(stamps)} times, but an image of number {frame_numbers.max()}"
+    last = int(frame_numbers.max(initial=-1))
+    if last >= len(stamps):
+        problem = f"{len(stamps)} times, but an image of number {last}"
         raise DatasetError.at(times, problem, "it needs a row for each frame")
     return np.array(stamps, dtype=np.int64)[frame_numbers]

@@ -15,7 +15,13 @@ import numpy as np
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu
-from ovmot.datasets.frames import ReadingLimits, StereoListing, numbered_images, pair_images
+from ovmot.datasets.frames import (
+    ReadingLimits,
+    StereoListing,
+    camera_images,
+    numbered_images,
+    pair_images,
+)
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kitti_raw.calibration import CAMERAS_FILE, read_kitti_raw_calibration
@@ -65,8 +71,11 @@ class KittiRawReader:
         """Describe the drive; raises `InputError` and its children for what is wrong."""
         drive = _choose(root, sequence)
         findings = Findings()
-        left, right = (numbered_images(camera / "data") for camera in drive.cameras)
-        listing = pair_images(left, right, drive.folder, findings)
+        left, right = (
+            camera_images(partial(numbered_images, camera / "data"), limits, findings)
+            for camera in drive.cameras
+        )
+        listing = pair_images(left, right, drive.folder, findings, limits.by_number)
         imu = _imu(drive.folder / "oxts", limits.imu_max_gap_s, findings)
         found = calibration or _calibration(drive, listing)
         times = partial(_frame_stamps, drive.cameras[0] / "timestamps.txt")
@@ -132,7 +141,7 @@ def _calibration(drive: _Drive, listing: StereoListing) -> Calibration:
     """From the date's folder, or the drive's own where the files were copied there."""
     folder = drive.folder.resolve()
     place = folder if (folder / CAMERAS_FILE).exists() else folder.parent
-    size = image_size(listing.left_paths[0])
+    size = image_size(listing.any_path)
     rectified = {"sync": True, "extract": False}.get(folder.name.rpartition("_")[2])
     return read_kitti_raw_calibration(place, drive.left, size, rectified)
 

@@ -5,6 +5,7 @@ calibration is `dso/camchain.yaml` (Kalibr, equidistant) with `dso/imu_config.ya
 of 8 or 16 bits; those of 16 are scaled to 8.
 """
 
+from functools import partial
 from pathlib import Path
 
 from ovmot.datasets.asl import asl_imu, asl_listing
@@ -13,6 +14,7 @@ from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, re
 from ovmot.datasets.frames import (
     ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
     note_missing_images,
     pair_images,
@@ -56,10 +58,10 @@ class TumViReader:
         findings = Findings()
         mav = dso.parent / "mav0"
         if (mav / "cam0").is_dir():
-            listing = asl_listing(mav, findings, limits.pair_tolerance_ns)
+            listing = asl_listing(mav, findings, limits)
             imu = asl_imu(mav, limits.imu_max_gap_s, findings)
         else:
-            listing = _dso_listing(dso, findings, limits.pair_tolerance_ns)
+            listing = _dso_listing(dso, findings, limits)
             imu = _dso_imu(dso / "imu.txt", limits.imu_max_gap_s, findings)
         return assemble(
             kind="tum_vi",
@@ -81,7 +83,7 @@ def _dso(root: Path) -> Path | None:
     return None
 
 
-def _dso_listing(dso: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
+def _dso_listing(dso: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     """Pairs by `times.txt`, whose rows begin with the stamp in ns: the name of the image."""
     stamps: set[int] = set()
     images: list[dict[int, Path]] = []
@@ -90,10 +92,11 @@ def _dso_listing(dso: Path, findings: Findings, tolerance_ns: int) -> StereoList
         rows = checked_stamps(read_stamped_list(listed), findings)
         bare = dict.fromkeys(rows, "")  # what follows the stamp is no name
         stamps |= rows.keys()
-        images.append(present_images(bare, dso / camera / "images", listed))
+        read = partial(present_images, bare, dso / camera / "images", listed)
+        images.append(camera_images(read, limits, findings))
     left, right = images
     note_missing_images(stamps, left.keys() | right.keys(), dso / "cam0" / "times.txt", findings)
-    return pair_images(left, right, dso, findings, tolerance_ns)
+    return pair_images(left, right, dso, findings, limits)
 
 
 def _dso_imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

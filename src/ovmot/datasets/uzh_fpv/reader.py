@@ -5,13 +5,16 @@ ICRA 2019. The calibration is a separate download: its Kalibr files are looked f
 sequence's folder, in folders there whose name holds `calib`, and likewise one folder up.
 """
 
+from functools import partial
 from pathlib import Path
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    NoImagesError,
     ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
     note_missing_images,
     pair_images,
@@ -57,7 +60,7 @@ class UzhFpvReader:
             kind="uzh_fpv",
             name=root.resolve().name,
             root=root,
-            listing=_listing(root, findings, limits.pair_tolerance_ns),
+            listing=_listing(root, findings, limits),
             imu=_imu(root / "imu.txt", limits.imu_max_gap_s, findings),
             calibration=calibration or _calibration(root, findings),
             decode=read_grey,
@@ -65,20 +68,24 @@ class UzhFpvReader:
         )
 
 
-def _listing(root: Path, findings: Findings, tolerance_ns: int) -> StereoListing:
+def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     stamps: set[int] = set()
     images: list[dict[int, Path]] = []
     for name in _LISTS:
         rows = checked_stamps(read_timed_names(root / name), findings)
-        found = {t: root / file for t, file in rows.items() if (root / file).is_file()}
-        if not found:
-            problem = f"none of its {len(rows)} images is there"
-            raise DatasetError.at(root / name, problem, "names are relative to this folder")
         stamps |= rows.keys()
-        images.append(found)
+        images.append(camera_images(partial(_named_images, root, name, rows), limits, findings))
     left, right = images
     note_missing_images(stamps, left.keys() | right.keys(), root / _LISTS[0], findings)
-    return pair_images(left, right, root, findings, tolerance_ns)
+    return pair_images(left, right, root, findings, limits)
+
+
+def _named_images(root: Path, listed: str, rows: dict[int, str]) -> dict[int, Path]:
+    found = {t: root / file for t, file in rows.items() if (root / file).is_file()}
+    if not found:
+        problem = f"none of its {len(rows)} images is there"
+        raise NoImagesError.at(root / listed, problem, "names are relative to this folder")
+    return found
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

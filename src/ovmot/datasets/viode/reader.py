@@ -64,7 +64,7 @@ class ViodeReader:
             kind="viode",
             name=folder.name,
             root=root,
-            listing=asl_listing(mav, findings, limits.pair_tolerance_ns),
+            listing=asl_listing(mav, findings, limits),
             imu=asl_imu(mav, limits.imu_max_gap_s, findings),
             calibration=calibration or _calibration(mav, folder, findings),
             decode=read_grey,
