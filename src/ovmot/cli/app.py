@@ -149,7 +149,8 @@ def run(
     ovmot.prepare_process()
     first_use = nothing_is_compiled()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    given = ovmot.load_run_config(config, overrides)
+    need_imu_pose = ego is None
+    given = ovmot.load_run_config(config, overrides, need_imu_pose=need_imu_pose)
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(
             data,
@@ -159,6 +160,7 @@ def run(
             given.imu_max_gap_s,
             ovmot.BagTopics(left, right, imu),
             given.settings.recording.pair_tolerance_s,
+            need_imu_pose=need_imu_pose,
         )
     settings = recorded.settings(given.settings)
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))

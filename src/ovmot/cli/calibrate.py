@@ -40,6 +40,6 @@ def calibrate(
             data, format, sequence, calibration, topics=ovmot.BagTopics(left, right, imu)
         )
         written = ovmot.write_calibration(recorded, out, replace=force)
-    for note in written.notes:
-        say(f"ovmot: {note}")
+    for note in (*recorded.warnings, *written.notes):
+        say(f"ovmot: warning: {note}")
     typer.echo(printable(f"{data} -> {', '.join(map(str, written.files))}"))

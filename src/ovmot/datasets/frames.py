@@ -21,11 +21,13 @@ class ReadingLimits:
     `imu_max_gap_s`: a longer hole in the IMU's samples is reported. `pair_tolerance_s`: so far
     apart may the stamps of the two images of a pair be. `need_pairs`: whether a camera without
     images is an error; else its frames are listed as single images of the other one.
+    `need_imu_pose`: whether a calibration must say where the cameras are on the IMU.
     """
 
     imu_max_gap_s: float = ImuSettings().max_gap_s
     pair_tolerance_s: float = RecordingSettings().pair_tolerance_s
     need_pairs: bool = True
+    need_imu_pose: bool = True
 
     @property
     def pair_tolerance_ns(self) -> int:

@@ -106,6 +106,7 @@ def open_recording(
     topics: BagTopics | None = None,
     pair_tolerance_s: float | None = None,
     need_pairs: bool = True,
+    need_imu_pose: bool = True,
 ) -> RecordedSequence:
     """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
@@ -130,6 +131,9 @@ def open_recording(
     need_pairs
         Whether a folder without images of one camera is an error; else it is a sequence of no
         frames, to be examined.
+    need_imu_pose
+        Whether a Kalibr chain must say where the cameras are on the IMU; else the left camera
+        stands for the IMU, for poses that are given.
 
     Returns
     -------
@@ -148,10 +152,17 @@ def open_recording(
         if topics is not None:
             _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
         return open_sequence(
-            root, format, sequence, given, imu_max_gap_s, pair_tolerance_s, need_pairs
+            root,
+            format,
+            sequence,
+            given,
+            imu_max_gap_s,
+            pair_tolerance_s,
+            need_pairs,
+            need_imu_pose,
         )
     _refuse(root, "is a bag", format=format, sequence=sequence)
-    limits = _limits(imu_max_gap_s, pair_tolerance_s)
+    limits = replace(_limits(imu_max_gap_s, pair_tolerance_s), need_imu_pose=need_imu_pose)
     return read_bag(bag, topics or BagTopics(), given, limits)
 
 
@@ -163,6 +174,7 @@ def open_sequence(
     imu_max_gap_s: float | None = None,
     pair_tolerance_s: float | None = None,
     need_pairs: bool = True,
+    need_imu_pose: bool = True,
 ) -> FolderSequence:
     """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
     root = Path(path)
@@ -171,8 +183,10 @@ def open_sequence(
     if not root.is_dir():
         raise InputError.at(root, "not a folder, and not a bag", _GIVE)
     chain = _as_calibration(calibration)
-    given = read_kalibr(chain) if isinstance(chain, Path) else chain
-    limits = _limits(imu_max_gap_s, pair_tolerance_s, need_pairs)
+    given = read_kalibr(chain, need_imu_pose) if isinstance(chain, Path) else chain
+    limits = replace(
+        _limits(imu_max_gap_s, pair_tolerance_s), need_pairs=need_pairs, need_imu_pose=need_imu_pose
+    )
     if format is not None:
         if format not in DATASETS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
@@ -223,11 +237,9 @@ def _as_calibration(given: StrPath | Calibration | None) -> Path | Calibration |
     return Calibration(sequence.rig, sequence.imu_noise)
 
 
-def _limits(
-    imu_max_gap_s: float | None, pair_tolerance_s: float | None, need_pairs: bool = True
-) -> ReadingLimits:
+def _limits(imu_max_gap_s: float | None, pair_tolerance_s: float | None) -> ReadingLimits:
     """The limits that are given, the defaults for those that are not."""
-    limits = ReadingLimits(need_pairs=need_pairs)
+    limits = ReadingLimits()
     if imu_max_gap_s is not None:
         limits = replace(limits, imu_max_gap_s=imu_max_gap_s)
     if pair_tolerance_s is not None:

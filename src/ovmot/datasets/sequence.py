@@ -140,7 +140,7 @@ def assemble(
         right_paths=tuple(listing.right_paths[i] for i in keep),
         decode=decode,
         listing=listing,
-        warnings=tuple(findings.warnings),
+        warnings=(*calibration.notes, *findings.warnings),
         counts=dict(findings.counts),
         instances=instances,
     )

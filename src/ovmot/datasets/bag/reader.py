@@ -74,7 +74,7 @@ def read_bag(
     findings = Findings()
     with Bag(path) as bag:
         topics = find_topics(path, bag.types, asked)
-        found = bag_calibration(bag, topics, calibration)
+        found = bag_calibration(bag, topics, calibration, limits.need_imu_pose)
         scan = _scan(bag, topics)
     left, right = (_distinct(scan, topic, path, findings) for topic in (topics.left, topics.right))
     frame_ns, right_ns = pair_stamps(left.keys(), right.keys(), path, findings, limits)
@@ -99,7 +99,7 @@ def read_bag(
         imu=imu,
         frame_ns=frame_ns,
         frame_number=np.arange(len(frame_ns)),
-        warnings=tuple(findings.warnings),
+        warnings=(*found.notes, *findings.warnings),
         counts=dict(findings.counts),
         bag=path,
         topics=topics,

@@ -5,6 +5,7 @@ calibration is `dso/camchain.yaml` (Kalibr, equidistant) with `dso/imu_config.ya
 of 8 or 16 bits; those of 16 are scaled to 8.
 """
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from ovmot.datasets.frames import (
 )
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.kalibr import read_kalibr_cameras, read_kalibr_noise
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.text_tables import read_stamped_list, read_stamped_text
 from ovmot.errors import InputError
@@ -69,7 +70,7 @@ class TumViReader:
             root=root,
             listing=listing,
             imu=imu,
-            calibration=calibration or _calibration(dso, findings),
+            calibration=calibration or _calibration(dso, limits, findings),
             decode=read_grey,
             findings=findings,
         )
@@ -106,9 +107,9 @@ def _dso_imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None
     return checked_imu(read_stamped_text(path, _IMU_COLUMNS), 0, 3, max_gap_s, findings)
 
 
-def _calibration(dso: Path, findings: Findings) -> Calibration:
+def _calibration(dso: Path, limits: ReadingLimits, findings: Findings) -> Calibration:
     noise = dso / "imu_config.yaml"
     if not noise.exists():
         note_no_imu_noise(noise, findings)
-    rig = read_kalibr_rig(dso / _CHAIN)
-    return Calibration(rig, read_kalibr_noise(noise) if noise.exists() else None)
+    found = read_kalibr_cameras(dso / _CHAIN, limits.need_imu_pose)
+    return replace(found, imu_noise=read_kalibr_noise(noise) if noise.exists() else None)

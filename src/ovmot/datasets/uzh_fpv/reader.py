@@ -5,6 +5,7 @@ ICRA 2019. The calibration is a separate download: its Kalibr files are looked f
 sequence's folder, in folders there whose name holds `calib`, and likewise one folder up.
 """
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from ovmot.datasets.frames import (
 )
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.kalibr import CHAIN_FILE, IMU_FILE, read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.kalibr import CHAIN_FILE, IMU_FILE, read_kalibr_cameras, read_kalibr_noise
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.text_tables import column_count, read_timed_names, read_timed_text
 from ovmot.errors import CalibrationError, DatasetError, InputError
@@ -62,7 +63,7 @@ class UzhFpvReader:
             root=root,
             listing=_listing(root, findings, limits),
             imu=_imu(root / "imu.txt", limits.imu_max_gap_s, findings),
-            calibration=calibration or _calibration(root, findings),
+            calibration=calibration or _calibration(root, limits, findings),
             decode=read_grey,
             findings=findings,
         )
@@ -100,7 +101,7 @@ def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
     return checked_imu(table, 0, 3, max_gap_s, findings)
 
 
-def _calibration(root: Path, findings: Findings) -> Calibration:
+def _calibration(root: Path, limits: ReadingLimits, findings: Findings) -> Calibration:
     places = [root, *_calibration_folders(root), *_calibration_folders(root.resolve().parent)]
     chain = _first(places, _CHAINS)
     if chain is None:
@@ -110,7 +111,8 @@ def _calibration(root: Path, findings: Findings) -> Calibration:
     noise = _first([chain.parent], _NOISES)
     if noise is None:
         note_no_imu_noise(chain.parent / "imu.yaml", findings)
-    return Calibration(read_kalibr_rig(chain), None if noise is None else read_kalibr_noise(noise))
+    found = read_kalibr_cameras(chain, limits.need_imu_pose)
+    return replace(found, imu_noise=None if noise is None else read_kalibr_noise(noise))
 
 
 def _calibration_folders(folder: Path) -> list[Path]:
