@@ -19,7 +19,7 @@ from ovmot.errors import DatasetError, InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.ros.bag_writer import BagWriter
-from ovmot.ros.values import Message, Published, header, pose
+from ovmot.ros.values import Message, Published, Value, header, pose
 from ovmot.sim.recording import record
 from ovmot.sim.simulation import Simulation
 from ovmot.types import ImuData
@@ -182,7 +182,7 @@ def test_a_bag_with_odometry(tmp_path: Path) -> None:
     poses = [se3.make(R, np.array([i, 0.0, 1.0])) for i, R in enumerate(turns)]
     with BagWriter(path) as bag:
         for i, T in enumerate(poses):
-            fields = {"pose": pose(T), "covariance": np.zeros(36)}
+            fields: dict[str, Value] = {"pose": pose(T), "covariance": np.zeros(36)}
             posed = Message("geometry_msgs/PoseWithCovariance", fields)
             stamp_ns = START_NS + i * 10**8
             message = Message(
