@@ -160,7 +160,7 @@ def run(
             given.imu_max_gap_s,
             ovmot.BagTopics(left, right, imu),
             given.settings.recording.pair_tolerance_s,
-            need_imu_pose=need_imu_pose,
+            need_imu_pose,
         )
     settings = recorded.settings(given.settings)
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
