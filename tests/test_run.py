@@ -46,6 +46,18 @@ def run(data: Path, out: Path, settings: Settings = SETTINGS, **options: Any) ->
     return described(out)
 
 
+def test_single_images_are_run_by_one_camera(painted_euroc: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(painted_euroc, tmp_path / "data"))
+    for index, camera in ((8, "cam1"), (9, "cam1"), (10, "cam0")):
+        (root / "mav0" / camera / "data" / f"{STAMPS[index]}.png").unlink()
+    found = run(root, tmp_path / "out")
+    assert found["counts"]["frames_read"] == found["input"]["n_frames"] == len(STAMPS)
+    assert found["counts"]["unpaired_images"] == 3
+    said = [w for w in found["warnings"] if "without a partner" in w["message"]]
+    assert len(said) == 1
+    assert set(STAMPS[8:11]) <= set(stamps_in(tmp_path / "out" / "state.csv"))
+
+
 def described(out: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((out / "run.json").read_text())
     return found

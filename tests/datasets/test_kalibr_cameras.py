@@ -106,7 +106,7 @@ def test_a_chain_of_one_camera_is_a_rig_of_one(tmp_path: Path) -> None:
     found = read_kalibr(write(tmp_path / "chain.yaml", DS))
     assert found.rig.n_cameras == 1
     assert found.cameras == ("cam0",)
-    assert found.note is None
+    assert found.notes == ()
     np.testing.assert_array_equal(found.rig.T_imu_cam0, np.eye(4))
 
 
@@ -115,8 +115,8 @@ def test_of_four_cameras_the_first_pair_or_the_named_one(tmp_path: Path) -> None
     path = write(tmp_path / "chain.yaml", *four)
     found = read_kalibr_cameras(path)
     assert found.cameras == ("cam0", "cam1")
-    assert found.note is not None
-    assert "4 cameras, of which cam0 is taken as the left and cam1 as the right" in found.note
+    (note,) = found.notes
+    assert "4 cameras, of which cam0 is taken as the left and cam1 as the right" in note
     assert read_kalibr_cameras(path, "cam2", "cam1").cameras == ("cam2", "cam1")
     assert read_kalibr_cameras(path, "cam2").cameras == ("cam2", "cam3")
     assert read_kalibr_cameras(path, right="cam0").cameras == ("cam1", "cam0")

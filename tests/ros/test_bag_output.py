@@ -144,6 +144,7 @@ def test_frames_in_the_middle_of_a_bag(painted_euroc: Path, tmp_path: Path) -> N
     chosen = [e for e in events(bag, first=3, last=5) if isinstance(e, StereoFrame)]
     assert [e.timestamp_ns for e in chosen] == folder.frame_ns[3:6].tolist()
     left, _ = next(folder.pairs(3, 4))
+    assert left is not None
     assert np.array_equal(chosen[0].left, left.decode())
 
 

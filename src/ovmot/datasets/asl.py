@@ -13,9 +13,12 @@ from ovmot.datasets.calibration import (
 )
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
     images_in,
+    listed_images,
     note_missing_images,
     numbered_images,
     pair_images,
@@ -45,21 +48,26 @@ def sequence_folder(mav: Path) -> Path:
 
 
 def asl_listing(
-    mav: Path, findings: Findings, cameras: tuple[str, ...] = ("cam0", "cam1")
+    mav: Path,
+    findings: Findings,
+    limits: ReadingLimits,
+    cameras: tuple[str, ...] = ("cam0", "cam1"),
 ) -> StereoListing:
-    """The stereo pairs of two folders, or the images of one; raises `DatasetError` where there are
-    none."""
+    """The stereo pairs of two folders, by the nearest stamp, or the images of one.
+
+    Raises `DatasetError` where there are none.
+    """
     if len(cameras) == 1:
         (folder,) = cameras
-        stamps, images = _images(mav / folder, findings)
+        stamps, images = _images(mav / folder, limits, findings)
         note_missing_images(stamps, images.keys(), mav / folder / "data.csv", findings)
-        return StereoListing(np.array(sorted(images)), tuple(images[s] for s in sorted(images)), ())
+        return listed_images(images)
     (listed_left, left), (listed_right, right) = (
-        _images(mav / camera, findings) for camera in cameras
+        _images(mav / camera, limits, findings) for camera in cameras
     )
     stamps, found = listed_left | listed_right, left.keys() | right.keys()
     note_missing_images(stamps, found, mav / "cam0" / "data.csv", findings)
-    return pair_images(left, right, mav, findings)
+    return pair_images(left, right, mav, findings, limits)
 
 
 def asl_imu(mav: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
@@ -87,15 +95,22 @@ def sensor_calibration(mav: Path, findings: Findings) -> Calibration:
     )
 
 
-def _images(camera: Path, findings: Findings) -> tuple[set[int], dict[int, Path]]:
+def _images(
+    camera: Path, limits: ReadingLimits, findings: Findings
+) -> tuple[set[int], dict[int, Path]]:
     """Stamps of one camera and its images, from `data.csv` or, without it, from file names."""
-    listed = camera / "data.csv"
-    images_in(camera / "data")  # a missing folder is the clearer error
-    if not listed.exists():
-        found = numbered_images(camera / "data")
-        return set(found), found
-    stamps = checked_stamps(read_stamped_names(listed), findings)
-    return set(stamps), present_images(stamps, camera / "data", listed)
+    listed, folder = camera / "data.csv", camera / "data"
+    stamps: dict[int, str] = {}
+
+    def read() -> dict[int, Path]:
+        images_in(folder)  # a missing folder is the clearer error
+        if not listed.exists():
+            return numbered_images(folder)
+        stamps.update(checked_stamps(read_stamped_names(listed), findings))
+        return present_images(stamps, folder, listed)
+
+    found = camera_images(read, limits, findings)
+    return set(stamps) or set(found), found
 
 
 def read_euroc(cam0: Path, cam1: Path | None, imu: Path | None) -> Calibration:

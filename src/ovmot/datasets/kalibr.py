@@ -20,23 +20,28 @@ from ovmot.datasets.calibration import (
     read_imu_noise,
 )
 from ovmot.errors import InputError
-from ovmot.geometry import se3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import ImuNoise
 
 CHAIN_FILE = "kalibr_imucam_chain.yaml"
 IMU_FILE = "kalibr_imu_chain.yaml"
 _MAX_CLOCK_DIFFERENCE_S = 0.002
+_SAME_M, _SAME_DEG = 1e-3, 0.05  # what rounding may do; half a pixel of a common camera
 
 
-def read_kalibr(path: Path, left: str | None = None, right: str | None = None) -> Calibration:
+def read_kalibr(
+    path: Path, left: str | None = None, right: str | None = None, need_imu_pose: bool = True
+) -> Calibration:
     """Rig and IMU noise of a chain file, or of a folder that holds `kalibr_imucam_chain.yaml`.
 
-    The noise comes from `kalibr_imu_chain.yaml` beside it and is None without that file. `left` and
-    `right`: see `read_kalibr_rig`. Raises `CalibrationError` with file, key and remedy.
+    The noise comes from `kalibr_imu_chain.yaml` beside it and is None without that file. `left`,
+    `right` and `need_imu_pose`: see `read_kalibr_cameras`. Raises `CalibrationError` with file, key
+    and remedy.
     """
     chain = _chain_file(path)
-    return replace(read_kalibr_cameras(chain, left, right), imu_noise=_noise_beside(chain))
+    cameras = read_kalibr_cameras(chain, left, right, need_imu_pose)
+    return replace(cameras, imu_noise=_noise_beside(chain))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,30 +73,38 @@ def read_kalibr_rig(path: Path) -> StereoRig:
 
 
 def read_kalibr_cameras(
-    path: Path, left: str | None = None, right: str | None = None
+    path: Path, left: str | None = None, right: str | None = None, need_imu_pose: bool = True
 ) -> Calibration:
     """The rig of a chain's cameras, placed by `T_cam_imu`, `T_imu_cam` or `T_cn_cnm1`; no noise.
 
     `left`, `right`: which cameras, by name or `rostopic`; else the first one, and the next one or
     that which the first names in `cam_overlaps`. A chain of one makes a rig of one.
-    `timeshift_cam_imu` is Kalibr's: t_imu = t_cam + shift, seconds, absent means 0.
+    `timeshift_cam_imu` is Kalibr's: t_imu = t_cam + shift, seconds, absent means 0. Where two
+    neighbours have both poses on the IMU and `T_cn_cnm1`, and they differ, `T_cn_cnm1` is taken and
+    a note says so. A chain without poses on the IMU is an error if `need_imu_pose`, else the left
+    camera stands for the IMU.
     """
     chain = load_calibration_yaml(path)
     chain.child("cam0")  # which may be missing
     names = _camera_names(chain)
     chosen = _chosen(chain, names, left, right)
     nodes = [chain.child(name) for name in chosen]
-    poses = [_pose_in_chain(chain, names, name) for name in chosen]
+    if need_imu_pose or _is_on_imu(chain, names, chosen[0]):
+        poses, notes = _poses_on_imu(chain, names, chosen)
+    else:
+        T_first = [_pose_on_first(chain, names, name) for name in chosen]
+        poses = [se3.inverse(T_first[0]) @ T for T in T_first]
+        notes = (f"{path}: no pose on the IMU: the given poses are those of the left camera",)
     cameras = [calibrated_camera(node, "distortion_coeffs") for node in nodes]
     rig = make_rig(path, cameras, poses, _time_offset(nodes[0], nodes[-1]))
-    note = None
     if len(names) > 2:
         note = (
             f"{path}: {len(names)} cameras, of which {chosen[0]} is taken as the left and"
             f" {chosen[1]} as the right one (--left, --right)"
         )
+        notes = (note, *notes)
     topics = [str(node.value("rostopic")) if node.has("rostopic") else None for node in nodes]
-    return Calibration(rig, None, chosen, tuple(topics), note)
+    return Calibration(rig, None, chosen, tuple(topics), notes)
 
 
 def _camera_names(chain: CalibrationNode) -> list[str]:
@@ -133,12 +146,68 @@ def _chosen(
     return first, second
 
 
+def _has_pose(camera: CalibrationNode) -> bool:
+    return camera.has("T_imu_cam") or camera.has("T_cam_imu")
+
+
+def _is_on_imu(chain: CalibrationNode, names: Sequence[str], name: str) -> bool:
+    """Whether a camera's place on the IMU follows, through those before it if need be."""
+    camera, k = chain.child(name), names.index(name)
+    through_chain = k > 0 and camera.has("T_cn_cnm1")
+    return _has_pose(camera) or (through_chain and _is_on_imu(chain, names, names[k - 1]))
+
+
+def _pose_on_first(chain: CalibrationNode, names: Sequence[str], name: str) -> FloatArray:
+    """T_cam0_cam by `T_cn_cnm1` alone."""
+    T_cam0_cam = np.eye(4)
+    for before in names[1 : names.index(name) + 1]:
+        T_cam0_cam = T_cam0_cam @ se3.inverse(chain.child(before).transform("T_cn_cnm1"))
+    return T_cam0_cam
+
+
+def _poses_on_imu(
+    chain: CalibrationNode, names: Sequence[str], chosen: Sequence[str]
+) -> tuple[list[FloatArray], tuple[str, ...]]:
+    """T_imu_cam of the chosen cameras, and a note where two keys contradict each other."""
+    poses = {name: _pose_in_chain(chain, names, name) for name in chosen}
+    earlier, later = min(chosen, key=names.index), max(chosen, key=names.index)
+    notes: tuple[str, ...] = ()
+    if names.index(later) == names.index(earlier) + 1:
+        poses[later], notes = _pose_beside(chain, later, poses[later], poses[earlier])
+    return [poses[name] for name in chosen], notes
+
+
 def _pose_in_chain(chain: CalibrationNode, names: Sequence[str], name: str) -> FloatArray:
     """T_imu_cam of a camera, through those before it where it says no more."""
     camera, k = chain.child(name), names.index(name)
-    own = camera.has("T_imu_cam") or camera.has("T_cam_imu") or not camera.has("T_cn_cnm1")
+    own = _has_pose(camera) or not camera.has("T_cn_cnm1")
     before = None if own or k == 0 else _pose_in_chain(chain, names, names[k - 1])
     return _pose_on_imu(camera, before)
+
+
+def _pose_beside(
+    chain: CalibrationNode, name: str, own: FloatArray, T_imu_previous: FloatArray
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """T_imu_cam of a camera beside its neighbour's, and a note where two keys differ.
+
+    Then that one is taken which was calibrated between the cameras: the depth of all points hangs
+    on it.
+    """
+    camera = chain.child(name)
+    if not (_has_pose(camera) and camera.has("T_cn_cnm1")):
+        return own, ()
+    by_previous = T_imu_previous @ se3.inverse(camera.transform("T_cn_cnm1"))
+    apart = se3.inverse(own) @ by_previous
+    apart_m = float(np.linalg.norm(apart[:3, 3]))
+    apart_deg = float(np.degrees(np.linalg.norm(so3.log(apart[:3, :3]))))
+    if apart_m < _SAME_M and apart_deg < _SAME_DEG:
+        return own, ()
+    key = "T_imu_cam" if camera.has("T_imu_cam") else "T_cam_imu"
+    note = (
+        f"{camera.path}: {name}.{key} and {name}.T_cn_cnm1 differ by {1e3 * apart_m:.3g} mm and"
+        f" {apart_deg:.2g} degrees: T_cn_cnm1 is used, since it was calibrated between the cameras"
+    )
+    return by_previous, (note,)
 
 
 def read_kalibr_noise(path: Path) -> ImuNoise:
@@ -168,7 +237,8 @@ def _pose_on_imu(camera: CalibrationNode, T_imu_previous: FloatArray | None) -> 
         return se3.inverse(camera.transform("T_cam_imu"))
     if T_imu_previous is not None and camera.has("T_cn_cnm1"):
         return T_imu_previous @ se3.inverse(camera.transform("T_cn_cnm1"))
-    raise camera.fail("T_cam_imu", "the camera's pose is missing", "add T_cam_imu or T_imu_cam")
+    remedy = "add T_cam_imu or T_imu_cam, or run it with --ego poses FILE"
+    raise camera.fail("T_cam_imu", "the camera's pose is missing", remedy)
 
 
 def _time_offset(cam0: CalibrationNode, cam1: CalibrationNode) -> float:
@@ -184,7 +254,7 @@ def _time_offset(cam0: CalibrationNode, cam1: CalibrationNode) -> float:
 
 
 def check_rig(folder: Path, rig: StereoRig) -> None:
-    """Raise `InputError` for a rig that a Kalibr chain cannot hold: one with skew."""
+    """Raise `InputError` for a rig that Kalibr's own files cannot hold: one with skew."""
     for camera in rig.cameras:
         if camera.intrinsics[4] != 0.0:
             problem = f"Kalibr calibration cannot hold a skew of {camera.intrinsics[4]:g}"
@@ -192,7 +262,10 @@ def check_rig(folder: Path, rig: StereoRig) -> None:
 
 
 def write_chain(path: Path, rig: StereoRig) -> None:
-    """`cam0`, `cam1` with `T_cam_imu`, and `timeshift_cam_imu`: t_imu = t_cam + shift."""
+    """`cam0`, `cam1` with `T_cam_imu`, and `timeshift_cam_imu`: t_imu = t_cam + shift.
+
+    A skew is written as `skew`, a key that only ovmot reads.
+    """
     values = {}
     for name, other, camera, T_imu_cam in (
         ("cam0", 1, rig.cam0, rig.T_imu_cam0),
@@ -206,8 +279,23 @@ def write_chain(path: Path, rig: StereoRig) -> None:
             "rostopic": f"/{name}/image_raw",
             "timeshift_cam_imu": rig.time_offset_s,
         }
+        if camera.intrinsics[4] != 0.0:
+            values[name]["skew"] = float(camera.intrinsics[4])
     values["cam1"]["T_cn_cnm1"] = rig.T_cam1_cam0.tolist()
     write_yaml(path, values)
+
+
+def write_imu_chain(path: Path, imu_noise: ImuNoise, rate_hz: float) -> None:
+    """`kalibr_imu_chain.yaml` as OpenVINS has it: `imu0`, the body frame, with its noise."""
+    imu0 = {
+        "T_i_b": np.eye(4).tolist(),
+        **{key: getattr(imu_noise, name) for name, key in NOISE_KEYS.items()},
+        "model": "calibrated",
+        "rostopic": "/imu0",
+        "time_offset": 0.0,
+        "update_rate": rate_hz,
+    }
+    write_yaml(path, {"imu0": imu0})
 
 
 def write_noise(path: Path, imu_noise: ImuNoise, rate_hz: float) -> None:

@@ -17,6 +17,7 @@ from ovmot.datasets.calibration import (
     load_calibration_yaml,
 )
 from ovmot.datasets.kalibr import read_kalibr_cameras, read_kalibr_noise
+from ovmot.datasets.presets import given_max_gap_s
 from ovmot.errors import InputError
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings, make_settings, read_yaml_mapping
@@ -86,7 +87,7 @@ _MARKS = PLAIN.keys() | WORDS.keys() | ALWAYS.keys() | _JOINT
 
 _CAMERA_KEYS = {
     "T_imu_cam", "T_cam_imu", "T_cn_cnm1", "camera_model", "distortion_coeffs", "distortion_model",
-    "intrinsics", "resolution", "timeshift_cam_imu",
+    "intrinsics", "resolution", "skew", "timeshift_cam_imu",
 }  # fmt: skip
 _NOISE = "noise_density", "random_walk"
 _IDENTITIES: dict[str, list[list[float]]] = {
@@ -107,16 +108,24 @@ class RunConfig:
     mask_files: tuple[Path | None, Path | None] = (None, None)
     warnings: tuple[str, ...] = ()
 
+    @property
+    def imu_max_gap_s(self) -> float | None:
+        """The setting `imu.max_gap_s` where it was given."""
+        return given_max_gap_s(self.settings)
+
 
 def load_run_config(
     file: StrPath | None,
     overrides: Sequence[str] = (),
     left: str | None = None,
     right: str | None = None,
+    *,
+    need_imu_pose: bool = True,
 ) -> RunConfig:
     """Settings of ours or of OpenVINS, recognised by the keys; `overrides` are `section.key=value`.
 
-    `left`, `right`: which cameras of OpenVINS's chain, where it has more than two.
+    `left`, `right`: which cameras of OpenVINS's chain, where it has more than two;
+    `need_imu_pose`: whether that chain must say where the cameras are on the IMU.
     Raises `InputError` as `load_settings` does, and for chains that are missing or broken.
     """
     if file is None:
@@ -125,7 +134,7 @@ def load_run_config(
     data = read_yaml_mapping(path)
     if not is_openvins(data):
         return RunConfig(load_settings(path, overrides))
-    calibration, unused_in_chains = _read_chains(path, data, left, right)
+    calibration, unused_in_chains = _read_chains(path, data, left, right, need_imu_pose)
     values, unused = translate(path, data)
     settings = make_settings(values, overrides, f"{path} (OpenVINS)")
     masks = _mask_files(path, data)
@@ -228,13 +237,17 @@ def _mask_files(path: Path, data: Mapping[str, Any]) -> tuple[Path | None, Path 
 
 
 def _read_chains(
-    path: Path, data: Mapping[str, Any], left: str | None, right: str | None
+    path: Path,
+    data: Mapping[str, Any],
+    left: str | None,
+    right: str | None,
+    need_imu_pose: bool,
 ) -> tuple[Calibration | None, list[tuple[Path, list[str]]]]:
     """The calibration of the chains, and the keys in each of them that have no effect."""
     if "relative_config_imucam" not in data:
         return None, []
     chain = path.parent / str(data["relative_config_imucam"])
-    calibration, noise = read_kalibr_cameras(chain, left, right), None
+    calibration, noise = read_kalibr_cameras(chain, left, right, need_imu_pose), None
     if data.get("max_cameras") == 1:
         calibration = calibration.of_left_camera()
     unused = [(chain, _unused_of_cameras(load_calibration_yaml(chain), calibration.cameras))]

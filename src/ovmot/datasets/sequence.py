@@ -1,22 +1,27 @@
 """The description of a recorded sequence: all that is known before an image is decoded."""
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.frames import StereoListing
+from ovmot.datasets.frames import StereoListing, listed_frames
 from ovmot.datasets.instance_masks import InstanceImages
+from ovmot.datasets.presets import Preset
 from ovmot.datasets.stream import events
 from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image, IntArray
+from ovmot.settings import Settings
 from ovmot.types import Event, ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
@@ -32,19 +37,22 @@ class StoredImage:
     decode: Callable[[], Image]
 
 
-StoredPair = tuple[StoredImage, StoredImage | None]
-"""Left and right; there is no right one of a monocular rig."""
+StoredPair = tuple[StoredImage | None, StoredImage | None]
+"""Left and right; None where that camera gave none, and for the right one of a monocular rig."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedSequence(ABC):
-    """M stereo pairs, or images of one camera, wherever they are stored, and the IMU beside them.
+    """M stereo frames, or images of one camera, wherever they are stored, and the IMU beside them.
 
     `frame_ns` (M,) are the cameras' stamps in ns, rising; `frame_number` (M,) what the data calls
-    its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
+    its frames: KITTI's image numbers, else counted from 0. `missing` has the frames of one image of
+    a pair: their index, counted from 0, and the camera, 0 left and 1 right, that gave none. Such a
+    frame has the stamp of the image that it has. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
     `instances` are there where the data has images of what each pixel shows. `warnings` are
-    sentences for the user; `counts` the numbers behind them.
+    sentences for the user; `counts` the numbers behind them. `preset` are the settings that this
+    kind of data wants.
 
     Its length is M; iterated over, it gives the events of all frames (see `stream.events`).
     """
@@ -57,12 +65,19 @@ class RecordedSequence(ABC):
     imu: ImuData | None
     frame_ns: IntArray
     frame_number: IntArray
+    missing: Mapping[int, int] = field(default_factory=dict)
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
     instances: InstanceImages | None = None
+    preset: Preset | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
+
+    def settings(self, given: Settings | None = None) -> Settings:
+        """The settings for this data: what is given, else its preset's, else the defaults."""
+        chosen = given or Settings()
+        return chosen if self.preset is None else self.preset.under(chosen)
 
     def __iter__(self) -> Iterator[Event]:
         return events(self)
@@ -71,24 +86,57 @@ class RecordedSequence(ABC):
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         """The left and right images of frames `first` to `stop - 1`, in order, one by one."""
 
+    @abstractmethod
+    def of_pairs(self) -> Self:
+        """The same without the frames of which a camera's image is missing."""
+
+    @property
+    def complete(self) -> IntArray:
+        """Indices of the frames of which no image is missing."""
+        return np.array([i for i in range(len(self)) if i not in self.missing], dtype=np.int64)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderSequence(RecordedSequence):
-    """Stereo pairs in files; `decode` turns a file into a grey image. A monocular rig needs no
-    right ones."""
+    """Stereo frames in files; `decode` turns a file into a grey image. A monocular rig needs no
+    right ones.
+
+    `left_paths` and `right_paths` are the images of each camera in time order, without those that
+    are `missing`. `listing` has all images that were found: also those that the IMU does not cover.
+    """
 
     left_paths: tuple[Path, ...]
     right_paths: tuple[Path, ...]
     decode: Decode
+    listing: StereoListing
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
+        gone_before = Counter(camera for i, camera in self.missing.items() if i < first)
+        images = tuple(
+            islice(paths, first - gone_before[camera], None)
+            for camera, paths in enumerate((self.left_paths, self.right_paths))
+        )
         for index in range(first, stop):
-            left = self.left_paths[index]
-            right = self.right_paths[index] if self.rig.n_cameras == 2 else None
-            yield (
-                StoredImage(left, partial(self.decode, left)),
-                None if right is None else StoredImage(right, partial(self.decode, right)),
+            gone = self.missing.get(index)
+            left, right = (
+                None if c == gone or c >= self.rig.n_cameras else self._stored(next(images[c]))
+                for c in (0, 1)
             )
+            yield left, right
+
+    def of_pairs(self) -> Self:
+        keep, pairs = self.complete, tuple(self.pairs(0, len(self)))
+        left, right = (
+            tuple(Path(image.where) for i in keep if (image := pairs[i][c]) is not None)
+            for c in (0, 1)
+        )
+        return replace(
+            self, frame_ns=self.frame_ns[keep], frame_number=self.frame_number[keep], missing={},
+            left_paths=left, right_paths=right,
+        )  # fmt: skip
+
+    def _stored(self, path: Path) -> StoredImage:
+        return StoredImage(path, partial(self.decode, path))
 
 
 def assemble(
@@ -101,34 +149,41 @@ def assemble(
     imu: ImuData | None,
     decode: Decode,
     findings: Findings,
-    numbers: IntArray | None = None,
     instances: InstanceImages | None = None,
 ) -> FolderSequence:
     """Put a sequence together; frames that the IMU does not cover are dropped and counted.
 
-    `numbers` (M,) are the data's own for the frames of `listing`. Raises `DatasetError` if it
-    covers none of them, or for stamps that are no nanoseconds.
+    A single image makes a frame too, see `RecordedSequence.missing`. Raises `DatasetError` if the
+    IMU covers no frame, or for stamps that are no nanoseconds.
     """
     stamps = listing.frame_ns
     if len(stamps) > 1 and np.median(np.diff(stamps)) < _LEAST_INTERVAL_NS:
         problem = f"{len(stamps)} stereo pairs within {stamps[-1] - stamps[0]} ns"
         raise DatasetError.at(root, problem, "stamps are nanoseconds: convert them")
-    keep = np.arange(len(listing.frame_ns))
-    if imu is not None:
-        keep = covered_frames(listing.frame_ns, imu, calibration.rig.time_offset_s, root, findings)
+    rig = calibration.rig
+    frames = listed_frames(listing, rig.n_cameras)
+    frame_ns = np.array([frame.timestamp_ns for frame in frames], dtype=np.int64)
+    if imu is not None and len(stamps):
+        keep = covered_frames(frame_ns, imu, rig.time_offset_s, root, findings)
+        frames, frame_ns = tuple(frames[i] for i in keep), frame_ns[keep]
+    numbers = [listing.numbers.get(frame.timestamp_ns, i) for i, frame in enumerate(frames)]
+    gone = {i: 0 for i, frame in enumerate(frames) if frame.left is None}
+    gone |= {i: 1 for i, frame in enumerate(frames) if frame.right is None}
     return FolderSequence(
         kind=kind,
         name=name,
         root=root,
-        rig=calibration.rig,
+        rig=rig,
         imu_noise=calibration.imu_noise,
         imu=imu,
-        frame_ns=listing.frame_ns[keep],
-        frame_number=np.arange(len(keep)) if numbers is None else numbers[keep],
-        left_paths=tuple(listing.left_paths[i] for i in keep),
-        right_paths=tuple(listing.right_paths[i] for i in keep if listing.right_paths),
+        frame_ns=frame_ns,
+        frame_number=np.array(numbers, dtype=np.int64),
+        missing=gone if rig.n_cameras == 2 else {},
+        left_paths=tuple(frame.left for frame in frames if frame.left is not None),
+        right_paths=tuple(frame.right for frame in frames if frame.right is not None),
         decode=decode,
-        warnings=tuple(findings.warnings),
+        listing=listing,
+        warnings=(*calibration.notes, *findings.warnings),
         counts=dict(findings.counts),
         instances=instances,
     )

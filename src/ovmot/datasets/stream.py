@@ -29,7 +29,8 @@ def events(
     """IMU samples and stereo frames `first` ... `last` (both included, counted from 0), merged.
 
     A frame comes after all IMU samples with a stamp up to its own. IMU samples begin at most 5 s
-    before the first frame and go on to 1 s after the last one. Closing the generator ends the
+    before the first frame and go on to 1 s after the last one. A frame of one image of a pair has a
+    black one for the other, and says so (`StereoFrame.missing`). Closing the generator ends the
     workers. Raises `DatasetError` at the frame whose image is broken or has a wrong size.
     """
     stop = len(sequence) if last is None else min(last + 1, len(sequence))
@@ -51,7 +52,8 @@ def _merged(sequence: "RecordedSequence", first: int, stop: int) -> Generator[Ev
             until = int(np.searchsorted(imu.timestamp_ns, stamp, side="right"))
             yield from samples(imu, position, min(until, end))
             position = max(position, until)
-        yield StereoFrame(stamp, left, right)
+        missing = (sequence.missing[index],) if index in sequence.missing else ()
+        yield StereoFrame(stamp, left, right, missing=missing)
     if imu is not None:
         yield from samples(imu, position, end)
 
@@ -76,36 +78,42 @@ def samples(imu: ImuData, begin: int, end: int) -> Iterator[ImuSample]:
 def _decoded_pairs(
     sequence: "RecordedSequence", first: int, stop: int
 ) -> Generator[tuple[Image, Image | None], None, None]:
-    """Pairs in order, both sides decoded in parallel, at most `AHEAD` pairs in memory."""
+    """Pairs in order, both sides decoded in parallel, at most `AHEAD` pairs in memory.
+
+    A black image for one that is missing.
+    """
     pool = ThreadPoolExecutor(max_workers=2, thread_name_prefix="ovmot-decode")
-    waiting: deque[tuple[Future[Image], Future[Image] | None]] = deque()
+    waiting: deque[list[Future[Image]]] = deque()
     rig, stored = sequence.rig, sequence.pairs(first, stop)
 
     def order(count: int) -> None:
-        for left, right in islice(stored, count):
-            first = pool.submit(_image, left, rig.cam0)
-            second = None if right is None else pool.submit(_image, right, rig.cam1)
-            waiting.append((first, second))
+        for pair in islice(stored, count):
+            cameras = zip(pair, rig.cameras[: rig.n_cameras], strict=False)
+            waiting.append([pool.submit(_image, image, camera) for image, camera in cameras])
 
     try:
         order(AHEAD)
         while waiting:
-            left, right = waiting.popleft()
-            pair = left.result(), None if right is None else right.result()
+            images = [job.result() for job in waiting.popleft()]
             order(1)
-            yield pair
+            yield images[0], images[1] if len(images) == 2 else None
     finally:
         stored.close()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _image(stored: "StoredImage", camera: Camera) -> Image:
+def _image(stored: "StoredImage | None", camera: Camera) -> Image:
+    if stored is None:
+        return np.zeros((camera.height, camera.width), dtype=np.uint8)
     image = stored.decode()
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
+        exchanged = (height, width) == (camera.width, camera.height)
         raise DatasetError.at(
             stored.where,
             f"the image is {width}x{height} pixels, its camera {camera.width}x{camera.height}",
-            "give the calibration that belongs to these images",
+            "exchange width and height in the calibration"
+            if exchanged
+            else "give the calibration that belongs to these images",
         )
     return image

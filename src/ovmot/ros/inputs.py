@@ -70,7 +70,7 @@ def live_calibration(path: Path | None) -> Calibration:
         raise InputError("no calibration: give --calibration FILE (Kalibr chain) or ~calibration")
     if path.is_dir() and recognise(path):
         sequence = open_sequence(path)
-        return Calibration(sequence.rig, sequence.imu_noise)
+        return Calibration.of_rig(sequence.rig, sequence.imu_noise)
     calibration = read_calibration(path)
     if calibration.rig.n_cameras == 1:
         problem = "has one camera, a live node needs two"

@@ -38,7 +38,14 @@ def test_messages_out_of_order_and_frames_without_a_partner(tmp_path: Path, chai
     assert sequence.counts["imu_out_of_order"] == 1
     assert sequence.counts["unpaired_images"] == 1
     ticks = [round((f.timestamp_ns - START_NS) / 1e7) for f in frames(path, chain)]
-    assert ticks == [-1, 0, 1, 2, 3, 5]
+    assert ticks == [-1, 0, 1, 2, 3, 4, 5]
+    assert sequence.missing == {5: 1}
+    gone = frames(path, chain)[5]
+    assert gone.missing == (1,)
+    assert np.array_equal(gone.left, frames(path, chain)[4].left) and not gone.pair[1].any()
+    assert sequence.of_pairs().frame_ns.tolist() == [
+        START_NS + tick * 10_000_000 for tick in (-1, 0, 1, 2, 3, 5)
+    ]
 
 
 def test_headers_without_stamps(tmp_path: Path, chain: Path) -> None:

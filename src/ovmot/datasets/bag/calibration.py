@@ -25,14 +25,15 @@ _CHAIN = "give a Kalibr chain of both cameras with --calibration FILE"
 
 
 def given_calibration(
-    given: Path | Calibration | None, asked: BagTopics
+    given: Path | Calibration | None, asked: BagTopics, need_imu_pose: bool = True
 ) -> Path | Calibration | None:
     """A file of cameras read; one that says only where the left camera is mounted stays a path.
 
-    `asked`: which cameras of a chain, by name or topic. Raises `CalibrationError`.
+    `asked`: which cameras of a chain, by name or topic; `need_imu_pose`: see
+    `kalibr.read_kalibr_cameras`. Raises `CalibrationError`.
     """
     if isinstance(given, Path) and not is_mount(given):
-        return read_calibration(given, asked.left, asked.right)
+        return read_calibration(given, asked.left, asked.right, need_imu_pose)
     return given
 
 

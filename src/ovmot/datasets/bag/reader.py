@@ -1,10 +1,10 @@
 """Sequences in ROS bags: two image topics and an IMU, read as a stream."""
 
 from collections import deque
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Generator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ovmot.datasets.bag.images import stored_image
 from ovmot.datasets.bag.topics import BagTopics, FoundTopics, find_topics
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.frames import paired_stamps
+from ovmot.datasets.frames import ReadingLimits, pair_stamps
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.sequence import RecordedSequence, StoredImage, StoredPair, covered_frames
 from ovmot.datasets.text_tables import StampedTable
@@ -26,16 +26,14 @@ from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
-_TOGETHER_NS = 5_000_000  # drivers stamp the two images of one exposure apart by less
-
 
 @dataclass(frozen=True, slots=True)
 class BagSequence(RecordedSequence):
-    """Stereo pairs in a bag, or the images of its one camera.
+    """Stereo frames in a bag, or the images of its one camera.
 
     `right_ns` (M,) are the stamps of the right images, `frame_ns` those of the left ones, and of
-    the one camera.
-    `received_ns` (M, 2): when the earlier and the later image of each pair was recorded.
+    the one camera; where one of them is `missing`, both are the other's.
+    `received_ns` (M, 2): when the earlier and the later image of each frame was recorded.
     """
 
     bag: Path
@@ -48,27 +46,39 @@ class BagSequence(RecordedSequence):
         if self.topics.right is None:
             yield from self._singles(first, stop)
             return
-        order = deque(self.frame_ns[first:stop].tolist())
-        left: dict[int, StoredImage] = {}
-        right: dict[int, StoredImage] = {}
-        waiting = {self.topics.left: left, self.topics.right: right}
+        order = deque(range(first, stop))
+        waiting: dict[str, dict[int, StoredImage]] = {topic: {} for topic in self.topics.images}
         received = self.received_ns[first:stop]
-        pair_of = {
-            self.topics.left: {stamp: stamp for stamp in order},
-            self.topics.right: dict(zip(self.right_ns[first:stop].tolist(), order, strict=True)),
+        frame_of = {
+            topic: {int(stamps[i]): i for i in order if self.missing.get(i) != camera}
+            for camera, (topic, stamps) in enumerate(
+                zip(self.topics.images, (self.frame_ns, self.right_ns), strict=True)
+            )
         }
         begin, end = int(received[:, 0].min()), int(received[:, 1].max()) + 1
         with Bag(self.bag) as bag:
             for message in bag.messages(waiting.keys(), begin, end):
-                pair_ns = pair_of[message.topic].pop(_stamp(message), None)
-                if pair_ns is not None:
+                index = frame_of[message.topic].pop(_stamp(message), None)
+                if index is not None:
                     where = _where(self.bag, message)
-                    waiting[message.topic][pair_ns] = stored_image(message.value, where)
-                while order and order[0] in left and order[0] in right:
-                    next_ns = order.popleft()
-                    yield left.pop(next_ns), right.pop(next_ns)
+                    waiting[message.topic][index] = stored_image(message.value, where)
+                while order:
+                    pair = tuple(images.get(order[0]) for images in waiting.values())
+                    if pair.count(None) > (order[0] in self.missing):
+                        break
+                    yield pair[0], pair[1]
+                    index = order.popleft()
+                    for images in waiting.values():
+                        images.pop(index, None)
         if order:
-            raise _gone(self.bag, f"image pair {order[0]} ns")
+            raise _gone(self.bag, f"image pair {self.frame_ns[order[0]]} ns")
+
+    def of_pairs(self) -> Self:
+        keep = self.complete
+        return replace(
+            self, frame_ns=self.frame_ns[keep], frame_number=self.frame_number[keep], missing={},
+            right_ns=self.right_ns[keep], received_ns=self.received_ns[keep],
+        )  # fmt: skip
 
     def _singles(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         """The images of the one camera, in order of their stamps."""
@@ -93,7 +103,7 @@ def _gone(path: Path, what: str) -> InputError:
 
 
 def read_bag(
-    path: Path, asked: BagTopics, calibration: Path | Calibration | None, imu_max_gap_s: float
+    path: Path, asked: BagTopics, calibration: Path | Calibration | None, limits: ReadingLimits
 ) -> BagSequence:
     """Describe the sequence in a bag; no image is decoded or kept.
 
@@ -103,31 +113,31 @@ def read_bag(
     """
     findings = Findings()
     with Bag(path) as bag:
-        given = given_calibration(calibration, asked)
+        given = given_calibration(calibration, asked, limits.need_imu_pose)
         asked = topics_of_cameras(bag, given, asked)
         n_cameras = given.rig.n_cameras if isinstance(given, Calibration) else 2
         topics = find_topics(path, bag.types, asked, n_cameras)
         found = bag_calibration(bag, topics, given)
         scan = _scan(bag, topics)
-    if found.note is not None:
-        findings.note("cameras_of_the_chain", 1, found.note)
     if topics.right is None:
         findings.note("one_camera", 1, f"{path}: one camera, {topics.left}")
     seen = [_distinct(scan, topic, path, findings) for topic in topics.images]
     left, right = seen[0], seen[-1]
-    partner = _partners(sorted(left), sorted(right))
-    own_ns = {partner.get(stamp, stamp): stamp for stamp in right}
-    frame_ns = paired_stamps(left.keys(), own_ns.keys(), path, findings)
-    imu = None if topics.imu is None else _imu(path, topics.imu, scan, imu_max_gap_s, findings)
+    pairs_ns = pair_stamps(left.keys(), right.keys(), path, findings, limits)
+    frame_ns, right_ns, gone = _with_single_images(left.keys(), right.keys(), *pairs_ns)
+    imu = None
+    if topics.imu is not None:
+        imu = _imu(path, topics.imu, scan, limits.imu_max_gap_s, findings)
     if imu is None:
         text = f"{path}: no topic of type sensor_msgs/Imu; the ego motion must come from poses"
         findings.note("no_imu", 1, text)
     else:
         offset_s = found.rig.time_offset_s
-        frame_ns = frame_ns[covered_frames(frame_ns, imu, offset_s, path, findings)]
-    right_ns = [own_ns[stamp] for stamp in frame_ns.tolist()]
+        kept = covered_frames(frame_ns, imu, offset_s, path, findings)
+        frame_ns, right_ns, gone = frame_ns[kept], right_ns[kept], gone[kept]
     received = [
-        sorted((left[a], right[b])) for a, b in zip(frame_ns.tolist(), right_ns, strict=True)
+        sorted((right[r] if camera == 0 else left[f], left[f] if camera == 1 else right[r]))
+        for f, r, camera in zip(frame_ns.tolist(), right_ns.tolist(), gone.tolist(), strict=True)
     ]
     return BagSequence(
         kind="bag",
@@ -138,13 +148,29 @@ def read_bag(
         imu=imu,
         frame_ns=frame_ns,
         frame_number=np.arange(len(frame_ns)),
-        warnings=tuple(findings.warnings),
+        missing={i: camera for i, camera in enumerate(gone.tolist()) if camera >= 0},
+        warnings=(*found.notes, *findings.warnings),
         counts=dict(findings.counts),
         bag=path,
         topics=topics,
-        right_ns=np.array(right_ns, dtype=np.int64),
+        right_ns=right_ns,
         received_ns=np.array(received, dtype=np.int64),
     )
+
+
+def _with_single_images(
+    left: Collection[int], right: Collection[int], left_ns: IntArray, right_ns: IntArray
+) -> tuple[IntArray, IntArray, IntArray]:
+    """All frames in time order: stamps left and right (M,), and which camera is missing (M,).
+
+    `left_ns`, `right_ns` are the pairs (K,). No camera is missing where it is -1; a single image's
+    stamp stands for both.
+    """
+    pairs = [(a, b, -1) for a, b in zip(left_ns.tolist(), right_ns.tolist(), strict=True)]
+    no_right = [(a, a, 1) for a in set(left) - set(left_ns.tolist())]
+    no_left = [(b, b, 0) for b in set(right) - set(right_ns.tolist())]
+    frames = np.array(sorted([*pairs, *no_right, *no_left]), dtype=np.int64).reshape(-1, 3)
+    return frames[:, 0], frames[:, 1], frames[:, 2]
 
 
 @dataclass(slots=True)
@@ -173,22 +199,6 @@ def _scan(bag: Bag, topics: FoundTopics) -> _Scan:
         if read < bag.counts[topic]:
             raise bag.unreadable(f"{read} of {bag.counts[topic]} messages of {topic}")
     return scan
-
-
-def _partners(left: Sequence[int], right: Sequence[int]) -> dict[int, int]:
-    """Right stamp -> nearest left stamp (ns, both rising), where that is near and mutual."""
-    a, b = np.array(left, dtype=np.int64), np.array(right, dtype=np.int64)
-    to_left, to_right = _nearest(a, b), _nearest(b, a)
-    mutual = (to_right[to_left] == np.arange(len(b))) & (np.abs(a[to_left] - b) <= _TOGETHER_NS)
-    return dict(zip(b[mutual].tolist(), a[to_left[mutual]].tolist(), strict=True))
-
-
-def _nearest(stamps: IntArray, wanted: IntArray) -> IntArray:
-    """Index of the nearest stamp for each wanted one; both rise."""
-    after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(stamps[before] - wanted) < np.abs(stamps[after] - wanted)
-    return np.where(nearer, before, after)
 
 
 def _distinct(scan: _Scan, topic: str, path: Path, findings: Findings) -> dict[int, int]:

@@ -1,13 +1,14 @@
 """KITTI image folders: tracking (`image_02/0010`) and odometry (`sequences/00/image_0`)."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.frames import StereoListing, numbered_images, pair_images
+from ovmot.datasets.frames import ReadingLimits, camera_images, numbered_images, pair_images
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.kitti.calibration import read_kitti_calibration
 from ovmot.datasets.sequence import FolderSequence, assemble
@@ -20,10 +21,14 @@ _TRACKING_PERIOD_NS = 100_000_000  # tracking has no stamps: 10 Hz from zero
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
-    """Where one sequence's files are; `left` is the number of the left camera."""
+class Layout:
+    """Where one sequence's files are; `left` is the number of the left camera.
+
+    `folder` holds all sequences of tracking, or one of odometry, the one with `times`.
+    """
 
     name: str
+    folder: Path
     images: tuple[Path, Path]
     calibration: Path
     left: int
@@ -46,46 +51,47 @@ class KittiReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
-        layout = self._layout(root, sequence)
+        layout = layout_of(root, sequence)
         findings = Findings()
-        left, right = (numbered_images(folder) for folder in layout.images)
-        listing = pair_images(left, right, layout.images[0].parent, findings)
-        size = image_size(listing.left_paths[0])
-        found = calibration or read_kitti_calibration(layout.calibration, layout.left, size)
-        stamped = StereoListing(
-            _stamps(layout.times, listing.frame_ns), listing.left_paths, listing.right_paths
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings)
+            for folder in layout.images
         )
+        listing = pair_images(left, right, layout.images[0].parent, findings, limits.by_number)
+        size = image_size(listing.any_path)
+        found = calibration or read_kitti_calibration(layout.calibration, layout.left, size)
         return assemble(
             kind="kitti",
             name=layout.name,
             root=root,
             calibration=found,
-            listing=stamped,
+            listing=listing.stamped(partial(frame_stamps, layout)),
             imu=None,
             decode=read_grey,
             findings=findings,
-            numbers=listing.frame_ns,
         )
 
-    def _layout(self, root: Path, sequence: str | None) -> _Layout:
-        tracking, odometry = _tracking(root), _odometry(root)
-        if tracking is not None:
-            name = _choose(tracking / "image_02", sequence)
-            images = tracking / "image_02" / name, tracking / "image_03" / name
-            return _Layout(name, images, tracking / "calib" / f"{name}.txt", 2, None)
-        if odometry is None:
-            raise InputError.at(root, "not a KITTI folder", f"it needs {self.needs}")
-        if odometry.name == "sequences" and not _is_odometry(odometry):
-            odometry = odometry / _choose(odometry, sequence)
-        elif sequence is not None:
-            raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")
-        left = 0 if (odometry / "image_0").is_dir() else 2
-        images = odometry / f"image_{left}", odometry / f"image_{left + 1}"
-        times, calibration = odometry / "times.txt", odometry / "calib.txt"
-        return _Layout(odometry.resolve().name, images, calibration, left, times)
+
+def layout_of(root: Path, sequence: str | None) -> Layout:
+    """Where the files of the chosen sequence are; raises `InputError`."""
+    tracking, odometry = _tracking(root), _odometry(root)
+    if tracking is not None:
+        name = _choose(tracking / "image_02", sequence)
+        images = tracking / "image_02" / name, tracking / "image_03" / name
+        return Layout(name, tracking, images, tracking / "calib" / f"{name}.txt", 2, None)
+    if odometry is None:
+        raise InputError.at(root, "not a KITTI folder", f"it needs {KittiReader.needs}")
+    if odometry.name == "sequences" and not _is_odometry(odometry):
+        odometry = odometry / _choose(odometry, sequence)
+    elif sequence is not None:
+        raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")
+    left = 0 if (odometry / "image_0").is_dir() else 2
+    images = odometry / f"image_{left}", odometry / f"image_{left + 1}"
+    times, calibration = odometry / "times.txt", odometry / "calib.txt"
+    return Layout(odometry.resolve().name, odometry, images, calibration, left, times)
 
 
 def _tracking(root: Path) -> Path | None:
@@ -121,6 +127,11 @@ def _choose(folder: Path, sequence: str | None) -> str:
     return names[0]
 
 
+def frame_stamps(layout: Layout, frame_numbers: IntArray) -> IntArray:
+    """Stamps (M,) in ns of the frames of a sequence by their numbers (M,)."""
+    return _stamps(layout.times, frame_numbers)
+
+
 def _stamps(times: Path | None, frame_numbers: IntArray) -> IntArray:
     """Stamps (M,) in ns of frame numbers (M,): a row of `times.txt` each, or 10 Hz from zero."""
     if times is None:
@@ -138,7 +149,8 @@ def _stamps(times: Path | None, frame_numbers: IntArray) -> IntArray:
         if len(stamps) > 1 and stamps[-1] <= stamps[-2]:
             problem = "the time does not lie after that of the row above"
             raise DatasetError.at(times, problem, "times rise from row to row", row=row)
-    if frame_numbers[-1] >= len(stamps):
-        problem = f"{len(stamps)} times, but an image of number {frame_numbers[-1]}"
+    last = int(frame_numbers.max(initial=-1))
+    if last >= len(stamps):
+        problem = f"{len(stamps)} times, but an image of number {last}"
         raise DatasetError.at(times, problem, "it needs a row for each frame")
     return np.array(stamps, dtype=np.int64)[frame_numbers]
