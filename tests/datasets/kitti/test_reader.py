@@ -19,7 +19,8 @@ def test_kitti_tracking_has_ten_frames_a_second(kitti_tracking: Path) -> None:
 
 
 def test_frames_keep_the_numbers_of_kitti_s_images(kitti_tracking: Path, euroc: Path) -> None:
-    (kitti_tracking / "image_03" / "0010" / "000001.png").unlink()
+    for camera in ("image_02", "image_03"):
+        (kitti_tracking / camera / "0010" / "000001.png").unlink()
     assert open_sequence(kitti_tracking).frame_number.tolist() == [0, 2, 3]
     others = open_sequence(euroc)
     assert others.frame_number.tolist() == list(range(len(others)))

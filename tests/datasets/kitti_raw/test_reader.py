@@ -99,7 +99,8 @@ def test_packets_out_of_order_are_dropped_and_counted(kitti_raw: Path) -> None:
 def test_missing_files_leave_the_others_their_times(kitti_raw: Path) -> None:
     drive = kitti_raw / EXTRACT
     (drive / "oxts" / "data" / "0000000003.txt").unlink()
-    (drive / "image_01" / "data" / "0000000001.png").unlink()
+    for camera in ("image_00", "image_01"):
+        (drive / camera / "data" / "0000000001.png").unlink()
     sequence = open_sequence(drive)
     assert sequence.frame_number.tolist() == [0, 2, 3]
     np.testing.assert_array_equal(np.diff(sequence.frame_ns), [2 * 10**8, 10**8])
