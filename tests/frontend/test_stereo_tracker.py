@@ -348,8 +348,8 @@ def drive_without(
             frame = painted_pair(10**8 * i, STEP_M * i, 0.0)
             if first <= i <= last:
                 black = np.zeros_like(frame.left)
-                gone = {"left": black} if side == 0 else {"right": black}
-                frame = replace(frame, missing=(side,), **gone)
+                left, right = (black, frame.right) if side == 0 else (frame.left, black)
+                frame = replace(frame, left=left, right=right, missing=(side,))
             out.append(tracker.track(frame, sideways(STEP_M if i else 0.0), no_feedback(rig)))
     return out
 

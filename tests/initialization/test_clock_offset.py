@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.initialization.clock_offset import ClockOffset, find_clock_offset
 from ovmot.initialization.stereo_path import StereoPath
 from ovmot.types import ImuSample
@@ -20,7 +20,7 @@ def turned(t: FloatArray, amplitude: float) -> FloatArray:
     return np.asarray(amplitude * np.sin(3.0 * t))
 
 
-def window(offset_s: float, amplitude: float) -> tuple[StereoPath, FloatArray, ImuBuffer]:
+def window(offset_s: float, amplitude: float) -> tuple[StereoPath, IntArray, ImuBuffer]:
     """A path of 13 frames, 0.1 s apart, their times by the known offset, and the IMU around them.
 
     The pictures' clock is off by `offset_s` in truth, the gyroscope has a bias.
