@@ -1,7 +1,7 @@
 """The program: IMU samples and stereo frames in, one `FrameResult` a frame out."""
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -302,7 +302,7 @@ class Odometry:
         """Look for an initial state; on success go through the frames up to this one."""
         seen, matches, watch = tracked
         self._count_pictures(seen)
-        if any(picture != Picture.FINE for picture in seen.pictures):
+        if _interrupts_start(seen, self._before_start.frames):
             self.not_started_because = f"pictures: {' and '.join(seen.pictures)}"
             self.counts["frames_before_start"] += 1
             return None
@@ -431,6 +431,14 @@ class Odometry:
     def _clock(self, known: Known) -> Initializer | OdometrySource:
         """What knows the clocks: the source, or the initializer before there is one."""
         return self._initializer if known.source is None else known.source
+
+
+def _interrupts_start(seen: FrontendFrame, before: Sequence[FrontendFrame]) -> bool:
+    """Is a frame without what a start needs better left out of its window? Not where the right
+    camera has given nothing so far: a start at rest does without it."""
+    left, right = seen.pictures
+    in_stereo = any(bool(np.isfinite(f.pixels[:, 2]).any()) for f in before)
+    return left != Picture.FINE or (right != Picture.FINE and in_stereo)
 
 
 def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEnd:

@@ -5,24 +5,32 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from ovmot.datasets.instance_masks import InstanceMasks
-from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
+from ovmot.datasets.masks import (
+    RIG_MASKS,
+    MaskSource,
+    open_mask_files,
+    open_masks,
+    with_masks,
+)
 from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.presets import Preset
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
 from ovmot.odometry import NO_OBJECTS, STAGES, Odometry, noise_in_use, settings_in_use
+from ovmot.outputs.rig_masks import write_rig_masks
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
 from ovmot.settings import Settings
 from ovmot.text_files import StrPath
-from ovmot.types import Event, FrameResult, ImuNoise, ImuSample, StereoFrame
+from ovmot.types import Event, FrameResult, ImuNoise, ImuSample, Picture, StereoFrame
 from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_from_cam0
 
 _SAY_EVERY_NS = 1_000_000_000
@@ -194,6 +202,7 @@ def run_into_folder(
         counts["frames_written"] = writer.frames_written
         counts["frames_never_covered_by_imu"] = odometry.dropped
         counts.update(odometry.counts)
+        counts["rig_masks"] = len(write_rig_masks(out, odometry.rig_body, odometry.rig))
         summary = RunSummary(
             settings=settings,
             options=_options(options, source),
@@ -256,6 +265,13 @@ def _warnings(
     if refused > _MOST_REFUSED * tested:
         text = f"stereo matches refused by the extrinsics, of {tested}: try 'ovmot doctor'"
         warnings[text] += refused
+    for camera, picture in product(("left", "right"), Picture):
+        if counts[f"{camera}_{picture}"]:
+            text = f"{camera} pictures that were {picture}: the other camera went on alone"
+            warnings[text] += counts[f"{camera}_{picture}"]
+    if counts["rig_masks"]:
+        text = f"masks of the rig's own body, {' and '.join(RIG_MASKS)}: give this run to --masks"
+        warnings[text] += counts["rig_masks"]
     if counts["frames_without_stereo"] and settings.tracker.cameras == "stereo":
         text = "frames without a stereo match: no scale from them, and nothing seen to move"
         warnings[text] += counts["frames_without_stereo"]

@@ -17,7 +17,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
-from ovmot.types import FrontendFrame, StereoFrame, StereoMatches
+from ovmot.types import FrontendFrame, Picture, StereoFrame, StereoMatches
 
 TRACKER = TrackerSettings(
     max_features=150, fine_columns=16, fast_threshold=12,
@@ -336,3 +336,65 @@ def test_matches_are_checked_by_the_calibration_of_the_moment(
         _, wrong = tracker.track(painted_pair(1, 0.0, 0.0, 0), np.eye(4), feedback)
     assert right.accepted.mean() > 0.9
     assert wrong.accepted.mean() < 0.1
+
+
+def drive_without(
+    rig: StereoRig, painted_pair: Pair, side: int, first: int, last: int, n: int = 9
+) -> Seen:
+    """A drive whose frames `first` to `last` have no picture of one camera."""
+    out: Seen = []
+    with tracker_of(rig) as tracker:
+        for i in range(n):
+            frame = painted_pair(10**8 * i, STEP_M * i, 0.0)
+            if first <= i <= last:
+                black = np.zeros_like(frame.left)
+                left, right = (black, frame.right) if side == 0 else (frame.left, black)
+                frame = replace(frame, left=left, right=right, missing=(side,))
+            out.append(tracker.track(frame, sideways(STEP_M if i else 0.0), no_feedback(rig)))
+    return out
+
+
+def test_without_a_right_picture_the_left_one_goes_on(
+    painted_rig: StereoRig, painted_pair: Pair
+) -> None:
+    driven = drive_without(painted_rig, painted_pair, 1, 3, 5)
+    for i in range(3, 6):
+        seen, matches = driven[i]
+        assert seen.pictures == (Picture.FINE, Picture.MISSING)
+        assert np.isnan(seen.pixels[:, 2:]).all() and np.isfinite(seen.pixels[:, :2]).all()
+        assert len(matches.feature_id) == 0
+    before, after = driven[2][0], driven[6][0]
+    assert np.isin(before.feature_id, after.feature_id).mean() > 0.6
+    assert np.isfinite(after.pixels[:, 2]).mean() > 0.6
+
+
+def test_without_a_left_picture_the_right_one_goes_on(
+    painted_rig: StereoRig, painted_pair: Pair
+) -> None:
+    driven = drive_without(painted_rig, painted_pair, 0, 3, 5)
+    for i in range(3, 6):
+        seen, matches = driven[i]
+        assert seen.pictures == (Picture.MISSING, Picture.FINE)
+        assert np.isnan(seen.pixels[:, :2]).all() and np.isfinite(seen.pixels[:, 2:]).all()
+        assert len(seen) > 60 and len(matches.feature_id) == 0
+        # the features that the right camera had seen stay where they are
+        known, a, b = np.intersect1d(seen.feature_id, driven[2][0].feature_id, return_indices=True)
+        assert len(known) > 40
+        moved = seen.pixels[a, 2] - driven[2][0].pixels[b, 2]
+        expected = STEP_M * (i - 2) * 200.0 / np.array([5.0, 6.0, 8.0])
+        assert np.quantile(np.abs(moved[:, None] - expected).min(1), 0.8) < 0.5
+    # the left camera goes on where it was, with stereo matches again
+    before, after = driven[2][0], driven[6][0]
+    assert np.isin(before.feature_id, after.feature_id).mean() > 0.4
+    assert np.isfinite(after.pixels[:, 2]).mean() > 0.6
+
+
+def test_without_any_picture_nothing_is_seen(painted_rig: StereoRig, painted_pair: Pair) -> None:
+    with tracker_of(painted_rig) as tracker:
+        frame = painted_pair(0, 0.0, 0.0)
+        tracker.track(frame, np.eye(4), no_feedback(painted_rig))
+        black = np.zeros_like(frame.left)
+        dark = StereoFrame(10**8, black, black)
+        seen, matches = tracker.track(dark, np.eye(4), no_feedback(painted_rig))
+        assert len(seen) == 0 and len(matches.feature_id) == 0
+        assert seen.pictures == (Picture.FLAT, Picture.FLAT)

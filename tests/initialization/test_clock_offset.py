@@ -31,8 +31,8 @@ def window(offset_s: float, amplitude: float) -> tuple[StereoPath, IntArray, Imu
         rate = 3.0 * amplitude * np.cos(3.0 * t)
         gyro = np.array([0.01, -0.02, 0.015 + rate])
         imu.append(ImuSample(ORIGIN_NS + round(1e9 * t), gyro, np.array([0.0, 0.0, 9.81])))
-    stamps = np.linspace(0.0, 1.2, 13)
-    angles = turned(np.asarray(stamps + offset_s), amplitude)
+    stamps: FloatArray = 0.1 * np.arange(13.0)
+    angles = turned(stamps + offset_s, amplitude)
     axis = np.stack([0.0 * angles, 0.0 * angles, angles - angles[0]], axis=1)
     R = so3.exp(axis)
     for k in range(1, len(R)):

@@ -1,8 +1,8 @@
 """Masks: parts of the images in which no features are taken, such as the bonnet or the sky.
 
 A folder holds `cam0.png` and `cam1.png`, the same for all frames, or folders `cam0` and `cam1` with
-`<stamp in ns>.png` for single frames, or both; each is optional. Pixels that are not zero are
-masked.
+`<stamp in ns>.png` for single frames, or both; each is optional. The folder of a run that has found
+the rig's own body (`RIG_MASKS`) is one too. Pixels that are not zero are masked.
 """
 
 from collections.abc import Generator
@@ -20,6 +20,8 @@ from ovmot.geometry.arrays import Image
 from ovmot.types import Event, StereoFrame
 
 _CAMERAS = ("cam0", "cam1")
+RIG_MASKS = ("ego_mask_cam0.png", "ego_mask_cam1.png")
+"""Masks of the rig's own body in the folder of a run."""
 
 
 class MaskSource(Protocol):
@@ -51,7 +53,8 @@ def open_masks(folder: Path, rig: StereoRig) -> Masks:
     """The masks of a folder; raises `InputError` where it holds none, or one of another size."""
     sizes = ((rig.cam0.width, rig.cam0.height), (rig.cam1.width, rig.cam1.height))
     left, right = (
-        _read(folder / f"{camera}.png", size) for camera, size in zip(_CAMERAS, sizes, strict=True)
+        _joined(_read(folder / f"{camera}.png", size), _read(folder / of_run, size))
+        for camera, of_run, size in zip(_CAMERAS, RIG_MASKS, sizes, strict=True)
     )
     if left is None and right is None and not any((folder / name).is_dir() for name in _CAMERAS):
         problem = "holds no masks"

@@ -79,7 +79,7 @@ class StereoTracker:
         """
         self._rig = feedback.rig
         self._T_since = T_now_before @ self._T_since
-        pictures = self._judge(frame)
+        pictures = self._judge(frame, T_now_before)
         fine = tuple(side for side in (LEFT, RIGHT) if pictures[side] == Picture.FINE)
         views = dict(
             zip(fine, preprocess(frame, self._rig, self._settings, self._helper, fine), strict=True)
@@ -96,12 +96,11 @@ class StereoTracker:
             seen = no_features(frame.timestamp_ns)
         return replace(seen, pictures=pictures), matches
 
-    def _judge(self, frame: StereoFrame | FeatureFrame) -> Pictures:
-        """What both cameras gave; a picture is compared with the last one where things moved."""
-        flow_px = median_flow_px(self._left.points.xy, self._p_cam0, self._T_since, self._rig.cam0)
-        pictures, self._pictures = judge_pictures(
-            frame, self._pictures, flow_px > 2.0 * PIXEL_SIGMA
-        )
+    def _judge(self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray) -> Pictures:
+        """What both cameras gave; pictures are compared with the last ones where things moved."""
+        flow_px = median_flow_px(self._left.points.xy, self._p_cam0, T_now_before, self._rig.cam0)
+        moving = flow_px > 2.0 * PIXEL_SIGMA
+        pictures, self._pictures = judge_pictures(frame, self._pictures, moving)
         return pictures
 
     def _track_left(
