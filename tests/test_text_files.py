@@ -74,3 +74,57 @@ def test_the_row_of_a_mistake_is_named(tmp_path: Path) -> None:
 def test_opencv_matrices_are_mappings() -> None:
     matrix = parse_yaml("M: !!opencv-matrix {rows: 1, cols: 2, dt: d, data: [1., 2.]}")["M"]
     assert matrix == {"rows": 1, "cols": 2, "dt": "d", "data": [1.0, 2.0]}
+
+
+OPENCV = """\
+%YAML:1.0
+---
+model_type:PINHOLE
+image_width:752
+# a comment with a key:value
+distortion_parameters:
+   k1:-0.28
+   k2: 0.07
+T: !!opencv-matrix
+   rows:2
+   cols:2
+   data: [ 1.0,\t0.0,
+\t   0.0,\t1.0 ]
+topic: /cam0/image_raw
+"""
+
+
+def test_what_opencv_reads_is_read(tmp_path: Path) -> None:
+    """A key without a blank after its colon, tabs within a matrix."""
+    path = tmp_path / "cam0.yaml"
+    path.write_text(OPENCV)
+    assert read_yaml(path, InputError) == {
+        "model_type": "PINHOLE",
+        "image_width": 752,
+        "distortion_parameters": {"k1": -0.28, "k2": 0.07},
+        "T": {"rows": 2, "cols": 2, "data": [1.0, 0.0, 0.0, 1.0]},
+        "topic": "/cam0/image_raw",
+    }
+    path.write_text("%YAML 1.0\nwidth:752\nheight:480\n")
+    assert read_yaml(path, InputError) == {"width": 752, "height": 480}
+
+
+def test_yaml_that_pyyaml_reads_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "plain.yaml"
+    path.write_text("a: x:y\nb: 'c:d'\nc: [e:f]\n")
+    assert read_yaml(path, InputError) == {"a": "x:y", "b": "c:d", "c": ["e:f"]}
+
+
+def test_the_right_row_is_named(tmp_path: Path) -> None:
+    """What is broken, and not the row after a key without a blank."""
+    path = tmp_path / "cam0.yaml"
+    path.write_text(OPENCV.replace("   k2: 0.07", "   k2: @0.07"))
+    with pytest.raises(InputError, match=r"cam0\.yaml, row 8: not valid YAML"):
+        read_yaml(path, InputError)
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
+    with pytest.raises(InputError, match=r"data\.csv: is a Git LFS pointer.*git lfs pull"):
+        read_text(path, InputError)

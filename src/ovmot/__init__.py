@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from ovmot.cameras.models import CAMERA_MODELS
     from ovmot.cameras.rig import StereoRig
     from ovmot.datasets.bag.topics import BagTopics
+    from ovmot.datasets.calibration_export import write_calibration
     from ovmot.datasets.openvins_config import load_run_config
-    from ovmot.datasets.registry import DATASETS, WRITERS
+    from ovmot.datasets.registry import DATASETS, PRESETS, WRITERS
     from ovmot.datasets.registry import open_recording as open
     from ovmot.datasets.sequence import RecordedSequence
     from ovmot.errors import CalibrationError, DatasetError, InputError, OvmotError
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CAMERA_MODELS",
     "DATASETS",
+    "PRESETS",
     "SCENES",
     "WRITERS",
     "BagTopics",
@@ -103,6 +105,7 @@ __all__ = [
     "run_sequence",
     "simulate",
     "warm_up",
+    "write_calibration",
     "write_metrics",
     "write_plots",
 ]
@@ -112,8 +115,9 @@ _HOMES = {
     "cameras.models": "CAMERA_MODELS",
     "cameras.rig": "StereoRig",
     "datasets.bag.topics": "BagTopics",
+    "datasets.calibration_export": "write_calibration",
     "datasets.openvins_config": "load_run_config",
-    "datasets.registry": "DATASETS WRITERS open_recording",
+    "datasets.registry": "DATASETS PRESETS WRITERS open_recording",
     "datasets.sequence": "RecordedSequence",
     "errors": "CalibrationError DatasetError InputError OvmotError",
     "frontend.given_features": "GivenFeatures",

@@ -13,6 +13,7 @@ import numpy as np
 from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
+from ovmot.datasets.presets import Preset
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
@@ -72,7 +73,7 @@ class RunInput:
     `name` stands before messages. `ego` and `start` say for `run.json` where the poses come from
     and how they begin; `imu_noise` is for `run.json` too, None without an IMU. `frame_number` is
     that of each stamp (ns). `counts` and `warnings` are those of the reader; the stream may add to
-    `counts`.
+    `counts`. `preset` is that of the data.
     """
 
     name: str
@@ -85,6 +86,7 @@ class RunInput:
     warnings: Counter[str]
     ego: Literal["filter", "poses"] = "filter"
     start: Literal["found", "truth"] = "found"
+    preset: Preset | None = None
 
 
 def run_sequence(
@@ -129,6 +131,7 @@ def run_sequence(
         counts=counts,
         warnings=Counter(sequence.warnings),
         ego="filter" if poses is None else "poses",
+        preset=sequence.preset,
     )
     return run_into_folder(source, settings, options, on_frame, on_wait)
 
@@ -199,6 +202,8 @@ def run_into_folder(
             not_started_because=odometry.not_started_because,
             ended=ended,
             wall_seconds=time.perf_counter() - began,
+            preset_name=None if source.preset is None else source.preset.name,
+            preset={} if source.preset is None else source.preset.in_force(settings),
         )
         try:
             write_run_json(out, summary)

@@ -270,6 +270,13 @@ class ObjectTrackSettings(Section):
     """How long a confirmed track lives unseen."""
 
 
+class RecordingSettings(Section):
+    """How folders and bags are read."""
+
+    pair_tolerance_s: float = Field(0.005, ge=0.0, le=0.1)
+    """Left and right image are a pair when their stamps differ by no more than this."""
+
+
 class LiveSettings(Section):
     """Topics, frames and queues of the live node (`ovmot ros`)."""
 
@@ -308,6 +315,7 @@ class Settings(Section):
     segmentation: SegmentationSettings = SegmentationSettings()
     objects: ObjectSettings = ObjectSettings()
     object_tracks: ObjectTrackSettings = ObjectTrackSettings()
+    recording: RecordingSettings = RecordingSettings()
     live: LiveSettings = LiveSettings()
 
 

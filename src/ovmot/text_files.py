@@ -24,25 +24,57 @@ def read_text(path: Path, error: type[InputError], missing: str = "no such file"
     try:
         if path.exists() and not path.is_file():
             raise error.at(path, "is no file", "give a file of text")
-        return path.read_text(encoding="utf-8-sig")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise error.at(path, missing) from None
     except UnicodeDecodeError as problem:
         raise error.at(path, f"cannot be read as text: {problem}", "save it as UTF-8") from None
     except OSError as problem:
         raise error.at(path, f"cannot be read: {problem.strerror}") from None
+    if is_lfs_pointer(text):
+        raise error.at(path, LFS_POINTER, LFS_REMEDY)
+    return text
+
+
+LFS_POINTER = "is a Git LFS pointer, not the file itself"
+LFS_REMEDY = "fetch the data with 'git lfs pull'"
+
+
+def is_lfs_pointer(head: str | bytes) -> bool:
+    """Does a file begin as the small file that Git LFS leaves in place of a large one?
+
+    Git LFS specification, docs/spec.md: the first line is `version` and the address.
+    """
+    mark = "version https://git-lfs.github.com/spec/"
+    return head.startswith(mark) if isinstance(head, str) else head.startswith(mark.encode())
 
 
 def read_yaml(path: Path, error: type[InputError], missing: str = "no such file") -> Any:
-    """What a YAML file holds; OpenCV's header, which is no directive of YAML, is let pass.
+    """What a YAML file holds; what OpenCV reads and YAML forbids is let pass (`plain_yaml`).
 
     Raises `error` with the row for what is no file, no text or no YAML of ours (`parse_yaml`).
     """
-    text = read_text(path, error, missing)
+    text = _HEADER.sub(
+        lambda header: "\n" * header.group().count("\n"), read_text(path, error, missing)
+    )
     try:
-        return parse_yaml(re.sub(r"\A\s*%YAML:[^\n]*", "", text))
+        try:
+            loaded = parse_yaml(text)
+        except YamlError:
+            return parse_yaml(plain_yaml(text))
+        # without a blank after any colon, the whole file is one text
+        return parse_yaml(plain_yaml(text)) if isinstance(loaded, str) else loaded
     except YamlError as problem:
         raise error.at(path, str(problem), "correct the file", row=problem.row) from None
+
+
+_HEADER = re.compile(r"\A\s*%YAML\b[^\n]*")  # OpenCV's is no directive of YAML
+_KEY_WITHOUT_BLANK = re.compile(r"^([ \t]*(?:- )?[A-Za-z_]\w*):(?=[^\s:])", re.MULTILINE)
+
+
+def plain_yaml(text: str) -> str:
+    """The text row by row as YAML wants it: tabs as blanks, and a blank after a key's colon."""
+    return _KEY_WITHOUT_BLANK.sub(r"\1: ", text.replace("\t", "    "))
 
 
 class YamlError(ValueError):

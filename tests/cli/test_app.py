@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 import ovmot
 from ovmot.cli import app as cli
+from ovmot.datasets.kalibr import write_chain
 from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.run_writer import RunWriter
@@ -67,6 +69,28 @@ def test_a_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> N
     assert whole_rows(tmp_path / "out" / "points.csv") > 100
     told = json.loads((tmp_path / "out" / "run.json").read_text())
     assert told["settings"]["tracker"]["max_features"] == 80
+
+
+def test_given_poses_need_no_pose_on_the_imu(
+    ovmot_command: Command, painted_euroc: Path, tmp_path: Path
+) -> None:
+    chain = tmp_path / "chain.yaml"
+    write_chain(chain, ovmot.open(painted_euroc).rig)
+    cameras = yaml.safe_load(chain.read_text())
+    chain.write_text(
+        yaml.safe_dump(
+            {n: {k: v for k, v in c.items() if k != "T_cam_imu"} for n, c in cameras.items()}
+        )
+    )
+    poses = tmp_path / "poses.tum"
+    poses.write_text("".join(f"{ns_to_seconds(t)} 0 0 0 0 0 0 1\n" for t in STAMPS))
+    command = ("run", painted_euroc, "--calibration", chain, "-o", tmp_path / "out", *FAST)
+    said = ovmot_command(*command)
+    assert said.code == 2
+    assert "T_cam_imu': the camera's pose is missing" in said.complaint
+    said = ovmot_command(*command, "--ego", "poses", poses)
+    assert said.code == 0, said.err
+    assert "the given poses are those of the left camera" in said.err
 
 
 def test_ego_poses_from_tum_and_kitti(

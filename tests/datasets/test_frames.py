@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from ovmot.datasets import open_sequence
+from ovmot.datasets import open_recording, open_sequence
+from ovmot.datasets.frames import listed_frames, match_stamps
 from ovmot.errors import DatasetError
 
 FIRST_NS = 1_403_636_580_000_000_555
@@ -20,11 +21,100 @@ def test_unpaired_images_are_dropped_and_counted(euroc: Path) -> None:
     assert "1 left and 1 right" in sequence.warnings[0]
 
 
-def test_half_of_a_camera_missing_is_refused(kaist: Path) -> None:
+def test_half_of_a_camera_missing_leaves_the_pairs(kaist: Path) -> None:
     for path in sorted((kaist / "image" / "stereo_right").iterdir())[:4]:
         path.unlink()
-    with pytest.raises(DatasetError, match="6 left and 2 right images, only 2 pairs"):
-        open_sequence(kaist)
+    sequence = open_sequence(kaist)
+    assert (len(sequence), sequence.counts["unpaired_images"]) == (2, 4)
+    assert "4 left and 0 right images without a partner (of 6 and 2)" in sequence.warnings[-1]
+
+
+def test_single_images_are_kept_apart(euroc: Path) -> None:
+    """What has no partner is listed beside the pairs, the other side missing."""
+    right, left = (euroc / "mav0" / camera / "data" for camera in ("cam1", "cam0"))
+    (right / f"{FIRST_NS + 100_000_000}.png").unlink()
+    (left / f"{FIRST_NS + 300_000_000}.png").unlink()
+    frames = listed_frames(open_sequence(euroc).listing)
+    assert [f.timestamp_ns for f in frames] == [FIRST_NS + i * 100_000_000 for i in range(6)]
+    assert [f.left is None for f in frames] == [i == 3 for i in range(6)]
+    assert [f.right is None for f in frames] == [i == 1 for i in range(6)]
+
+
+def shift_right(folder: Path, shifts_ns: list[int]) -> None:
+    """Other stamps for the right images, a shift each."""
+    for path, shift in zip(sorted(folder.iterdir()), shifts_ns, strict=True):
+        path.rename(folder / f"{int(path.stem) + shift}.png")
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_pairs_by_the_nearest_stamp(euroc: Path, listed: bool) -> None:
+    """Cameras that a computer stamps, up to 3 ms apart."""
+    camera = euroc / "mav0" / "cam1"
+    shifts = [3_000_000, -2_999_999, 0, 17, -1, 2_000_000]
+    shift_right(camera / "data", shifts)
+    stamps = [FIRST_NS + i * 100_000_000 for i in range(6)]
+    (camera / "data.csv").unlink()
+    if listed:
+        rows = "".join(f"{t + d},{t + d}.png\n" for t, d in zip(stamps, shifts, strict=True))
+        (camera / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}")
+    sequence = open_sequence(euroc)
+    assert sequence.frame_ns.tolist() == stamps
+    assert [int(p.stem) for p in sequence.right_paths] == [
+        t + d for t, d in zip(stamps, shifts, strict=True)
+    ]
+    assert sequence.counts == {"pairs_of_unequal_stamps": 5}
+    assert "differ by up to 3 ms" in sequence.warnings[0]
+    with pytest.raises(DatasetError, match=r"6 left and 6 right images, only 0 pairs: .* 39503 ms"):
+        move_all(camera / "data", 40_000_000_000)
+        open_sequence(euroc)
+
+
+def move_all(folder: Path, shift_ns: int) -> None:
+    (folder.parent / "data.csv").unlink(missing_ok=True)
+    # the last one first: its new name is free
+    for path in sorted(folder.iterdir(), reverse=True):
+        path.rename(folder / f"{int(path.stem) + shift_ns}.png")
+
+
+def test_the_tolerance_is_a_setting(euroc: Path) -> None:
+    camera = euroc / "mav0" / "cam1"
+    (camera / "data.csv").unlink()
+    shift_right(camera / "data", [8_000_000] * 6)
+    with pytest.raises(DatasetError, match=r"the nearest stamps are 8 ms apart; .*0\.005 s .--set"):
+        open_sequence(euroc)
+    assert len(open_recording(euroc, pair_tolerance_s=0.01)) == 6
+
+
+def test_one_list_of_stamps_for_both_cameras(kaist: Path) -> None:
+    """KAIST lists one stamp for both: the right image may be stamped a little apart."""
+    shift_right(kaist / "image" / "stereo_right", [1_000_000] * 6)
+    sequence = open_sequence(kaist)
+    assert len(sequence) == 6
+    assert sequence.frame_ns.tolist() == [FIRST_NS + i * 100_000_000 for i in range(6)]
+
+
+def test_numbers_are_paired_by_number(kitti_tracking: Path) -> None:
+    """Frame numbers are no nanoseconds: 3 is not near 4."""
+    left, right = (kitti_tracking / f"image_0{i}" / "0010" for i in (2, 3))
+    names = sorted(path.name for path in left.iterdir())
+    (left / names[0]).unlink()
+    (right / names[1]).unlink()
+    sequence = open_sequence(kitti_tracking)
+    assert (len(sequence), sequence.counts) == (len(names) - 2, {"unpaired_images": 2})
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "pairs"),
+    [
+        ([0, 10, 20], [1, 9, 21], {0: 1, 10: 9, 20: 21}),
+        ([0, 10, 20], [9, 11], {10: 11}),  # of two as near, the later one
+        ([0, 10], [5], {10: 5}),
+        ([0, 10], [16], {}),
+        ([], [16], {}),
+    ],
+)
+def test_match_stamps(left: list[int], right: list[int], pairs: dict[int, int]) -> None:
+    assert match_stamps(left, right, 5) == pairs
 
 
 @pytest.mark.parametrize("keep_folder", [True, False])

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ovmot.datasets import open_sequence
 from ovmot.datasets.kalibr import read_kalibr
 from ovmot.errors import CalibrationError
 
@@ -149,3 +150,75 @@ def test_yaml_that_would_run_code_is_refused(tmp_path: Path) -> None:
     path.write_text("cam0: !!python/object/apply:os.getcwd []\n")
     with pytest.raises(CalibrationError, match="not valid YAML"):
         read_kalibr(path)
+
+
+def posed(chain: str, own: str) -> str:
+    """The chain with a pose on the IMU for cam1 beside T_cn_cnm1, which it need not agree with."""
+    return chain.replace("cam1:\n", f"cam1:\n  T_imu_cam: {own}\n")
+
+
+# cam1 by T_cn_cnm1: 0.11 m to the right of cam0
+AGREES = "[0,0,1,0.1, -1,0,0,-0.06, 0,-1,0,0.0003, 0,0,0,1]"
+TURNED = "[0.0296,0,0.99956,0.1, -0.99956,0,0.0296,-0.032, 0,-1,0,0, 0,0,0,1]"
+
+
+def test_two_poses_that_agree_are_none_to_speak_of(chain: Path) -> None:
+    chain.write_text(posed(CHAIN, AGREES))
+    found = read_kalibr(chain)
+    assert found.notes == ()
+    np.testing.assert_allclose(found.rig.T_imu_cam1[:3, 3], [0.1, -0.06, 0.0003], atol=1e-12)
+
+
+def test_two_poses_that_contradict_each_other(chain: Path) -> None:
+    """As in a published chain: 28 mm and 1.7 degrees; on its pictures T_cn_cnm1 was right."""
+    chain.write_text(posed(CHAIN, TURNED))
+    found = read_kalibr(chain)
+    np.testing.assert_allclose(found.rig.T_cam1_cam0[:3, 3], [-0.11, 0.0, 0.0], atol=1e-12)
+    (note,) = found.notes
+    assert note.startswith(f"{chain}: cam1.T_imu_cam and cam1.T_cn_cnm1 differ by 28 mm and 1.7 d")
+    assert "T_cn_cnm1 is used" in note
+
+
+def without_imu(chain: str) -> str:
+    before, _, rest = chain.partition("  T_imu_cam:")
+    return before + rest.partition("    - [0.0, 0.0, 0.0, 1.0]\n")[2]
+
+
+def test_a_chain_without_imu_serves_for_given_poses(chain: Path) -> None:
+    chain.write_text(without_imu(CHAIN))
+    with pytest.raises(CalibrationError, match=r"cam0\.T_cam_imu.*missing; .*--ego poses FILE"):
+        read_kalibr(chain)
+    found = read_kalibr(chain, need_imu_pose=False)
+    np.testing.assert_array_equal(found.rig.T_imu_cam0, np.eye(4))
+    np.testing.assert_allclose(found.rig.T_cam1_cam0[:3, 3], [-0.11, 0.0, 0.0], atol=1e-12)
+    assert "poses are those of the left camera" in found.notes[0]
+    own = without_imu(CHAIN).replace("T_cn_cnm1", "T_imu_cam")
+    chain.write_text(own)  # of which the left camera's place does not follow
+    with pytest.raises(CalibrationError, match=r"'cam1\.T_cn_cnm1': this key is missing"):
+        read_kalibr(chain, need_imu_pose=False)
+
+
+def test_notes_are_warnings_of_the_sequence(chain: Path, euroc: Path) -> None:
+    small = CHAIN.replace("[752, 480]", "[32, 24]")
+    for old in ("458.6, 457.2, 367.2, 248.3", "457.5, 456.1, 379.9, 255.2"):
+        small = small.replace(old, "20, 21, 16, 12")
+    chain.write_text(posed(small, TURNED))
+    assert "T_cn_cnm1 is used" in open_sequence(euroc, calibration=chain).warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("gyroscope_noise_density: 1.6968e-04", "1.0"), ("accelerometer_random_walk: 3.0000e-3", "9")],
+)
+def test_noise_beyond_any_sensor_is_refused(chain: Path, key: str, value: str) -> None:
+    name = key.partition(":")[0]
+    assert key in IMU
+    (chain.parent / "kalibr_imu_chain.yaml").write_text(IMU.replace(key, f"{name}: {value}"))
+    with pytest.raises(CalibrationError, match=rf"imu0\.{name}': {value[0]}.* is not a noise dens"):
+        read_kalibr(chain)
+
+
+def test_a_principal_point_outside_the_image_is_refused(chain: Path) -> None:
+    chain.write_text(CHAIN.replace("367.2, 248.3", "367.2, 648.3"))
+    with pytest.raises(CalibrationError, match=r"cam0: the principal point .* outside the image"):
+        read_kalibr(chain)

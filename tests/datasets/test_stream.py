@@ -123,6 +123,14 @@ def test_an_image_of_another_size(euroc: Path) -> None:
         list(events(sequence))
 
 
+def test_exchanged_width_and_height_are_named(euroc: Path) -> None:
+    for camera in ("cam0", "cam1"):
+        path = euroc / "mav0" / camera / "sensor.yaml"
+        path.write_text(path.read_text().replace("[32, 24]", "[24, 32]"))
+    with pytest.raises(DatasetError, match=r"its camera 24x32; exchange width and height"):
+        list(events(open_sequence(euroc)))
+
+
 def test_workers_end_when_the_reader_stops_early(euroc: Path) -> None:
     stream = events(open_sequence(euroc))
     while not isinstance(next(stream), StereoFrame):

@@ -1,6 +1,7 @@
 """Each fault of a spoiled copy is named, and an unspoiled sequence has none."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 from ovmot.datasets.registry import open_sequence
 from ovmot.doctor.examine import examine
 from ovmot.doctor.report import Finding, Severity
+from ovmot.errors import DatasetError
 
 
 def wrong_in(root: Path) -> dict[str, Finding]:
@@ -64,3 +66,61 @@ def test_unreadable_input_exits_with_2(ovmot_command: Callable[..., Any], tmp_pa
     said = ovmot_command("doctor", tmp_path / "nowhere")
     assert said.code == 2
     assert "nowhere" in said.complaint
+
+
+def test_no_imu_where_there_should_be_one(walked: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(walked, tmp_path / "spoiled"))
+    shutil.rmtree(root / "mav0" / "imu0")
+    wrong = wrong_in(root)
+    assert list(wrong) == ["IMU"]
+    assert "should have an IMU" in wrong["IMU"].says
+    assert "mav0/imu0/data.csv" in wrong["IMU"].remedy
+
+
+def test_half_of_the_right_images(walked: Path, tmp_path: Path) -> None:
+    """The pairs are examined, and what is missing is named."""
+    root = Path(shutil.copytree(walked, tmp_path / "spoiled"))
+    for path in sorted((root / "mav0" / "cam1" / "data").iterdir())[20:]:
+        path.unlink()
+    wrong = wrong_in(root)
+    assert list(wrong) == ["dropped frames"]
+    assert "images without a partner: 30" in wrong["dropped frames"].says
+
+
+def test_a_truncated_image_does_not_hide_the_rest(walked: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(walked, tmp_path / "spoiled"))
+    path = sorted((root / "mav0" / "cam1" / "data").iterdir())[7]
+    path.write_bytes(path.read_bytes()[:2000])
+    report = examine(open_sequence(root))
+    wrong = [f for f in report.findings if f.severity is Severity.WRONG]
+    assert [f.check for f in wrong] == ["images"]
+    assert wrong[0].says.startswith("1 of 50 stereo pairs cannot be read: ")
+    assert path.name in wrong[0].says
+    whole = {f.check for f in examine(open_sequence(walked)).findings}
+    assert {f.check for f in report.findings} == whole | {"images"}
+
+
+def test_no_image_at_all_can_be_read(walked: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(walked, tmp_path / "spoiled"))
+    for path in (root / "mav0" / "cam1" / "data").iterdir():
+        path.write_bytes(b"")
+    with pytest.raises(DatasetError, match="the image file is empty"):
+        examine(open_sequence(root))
+
+
+@pytest.mark.parametrize("camera", ["cam0", "cam1"])
+def test_a_camera_is_missing(
+    walked: Path, tmp_path: Path, ovmot_command: Callable[..., Any], camera: str
+) -> None:
+    """The IMU is examined all the same."""
+    root = Path(shutil.copytree(walked, tmp_path / "spoiled"))
+    shutil.rmtree(root / "mav0" / camera / "data")
+    found = tmp_path / "found.json"
+    said = ovmot_command("doctor", root, "--json", found)
+    assert said.code == 1
+    first, *rest = json.loads(found.read_text())["findings"]
+    assert (first["severity"], first["check"]) == ("wrong", "cameras")
+    assert {"IMU rate", "IMU gaps", "accelerometer unit"} <= {f["check"] for f in rest}
+    said = ovmot_command("run", root, "-o", tmp_path / "out")
+    assert said.code == 2
+    assert "no such folder" in said.complaint

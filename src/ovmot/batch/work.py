@@ -23,6 +23,7 @@ from ovmot import open as open_sequence
 from ovmot.batch.feature_runs import evaluate_features, run_features
 from ovmot.batch.jobs import JOB_JSON, METRICS_JSON, Job, RenderJob, RunJob, is_done
 from ovmot.batch.plan import Features, Recorded
+from ovmot.datasets.presets import given_max_gap_s
 from ovmot.sim.features import FeatureOptions, FeatureRecording
 from ovmot.sim.handheld import handheld_simulation
 from ovmot.sim.miscalibration import miscalibrated
@@ -88,9 +89,13 @@ def _run(job: RunJob) -> None:
 
 
 def _run_folder(job: RunJob, data: Path, truth: Path) -> None:
-    sequence = open_sequence(data, imu_max_gap_s=job.settings.imu.max_gap_s)
+    sequence = open_sequence(
+        data,
+        imu_max_gap_s=given_max_gap_s(job.settings),
+        pair_tolerance_s=job.settings.recording.pair_tolerance_s,
+    )
     options = RunOptions(job.folder, save_points=True, force=True)
-    run_sequence(sequence, job.settings, options)
+    run_sequence(sequence, sequence.settings(job.settings), options)
     write_metrics(job.folder, evaluate(job.folder, truth))
 
 

@@ -21,6 +21,7 @@ from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
 from ovmot.batch.plan import read_plan
 from ovmot.batch.summary import summary_tables
 from ovmot.batch.work import work
+from ovmot.cli.calibrate import calibrate
 from ovmot.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FAILED,
@@ -45,6 +46,7 @@ from ovmot.cli.options import (
     RightOption,
     SequenceOption,
     SetOption,
+    preset_lines,
 )
 from ovmot.ros.bag_output import BagOutput
 
@@ -89,7 +91,7 @@ def _root(
         raise typer.Exit
 
 
-@app.command()
+@app.command(epilog="\n\n".join(preset_lines()))
 def run(
     data: Annotated[
         Path,
@@ -104,7 +106,10 @@ def run(
     imu: ImuOption = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS."),
+        typer.Option(
+            help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS; overrules"
+            f" the format's preset ({', '.join(ovmot.PRESETS)}; see below)."
+        ),
     ] = None,
     set_: SetOption = None,
     ego: Annotated[
@@ -144,17 +149,20 @@ def run(
     ovmot.prepare_process()
     first_use = nothing_is_compiled()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    given = ovmot.load_run_config(config, overrides)
-    settings = given.settings
+    need_imu_pose = ego is None
+    given = ovmot.load_run_config(config, overrides, need_imu_pose=need_imu_pose)
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(
             data,
             format,
             sequence,
             calibration or given.calibration,
-            settings.imu.max_gap_s,
+            given.imu_max_gap_s,
             ovmot.BagTopics(left, right, imu),
+            given.settings.recording.pair_tolerance_s,
+            need_imu_pose=need_imu_pose,
         )
+    settings = recorded.settings(given.settings)
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
@@ -278,6 +286,7 @@ def batch(
 
 
 app.command()(doctor)
+app.command()(calibrate)
 app.command()(ros)
 app.command()(ros2)
 
@@ -290,16 +299,20 @@ def warmup() -> None:
 
 @app.command()
 def settings() -> None:
-    """List every setting with its type, default and meaning."""
+    """List every setting with its type, default and meaning, and the presets of formats."""
     console = Console()
     if not console.is_terminal:
         for key, kind, default, meaning in ovmot.describe_settings():
             typer.echo(f"{key} = {default}  ({kind}) {meaning}")
+        for line in preset_lines():
+            typer.echo(line)
         return
     table = Table(Column("setting", no_wrap=True), "type", "default", "meaning")
     for row in ovmot.describe_settings():
         table.add_row(*(Text(cell) for cell in row))
     console.print(table)
+    for line in preset_lines():
+        console.print(Text(line))
 
 
 def _bag_output(

@@ -31,11 +31,16 @@ def doctor(
         Path | None, typer.Option(metavar="FILE", help="Write the findings as JSON as well.")
     ] = None,
 ) -> None:
-    """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if anything is."""
+    """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if it is wrong."""
     ovmot.prepare_process()
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(
-            data, format, sequence, calibration, topics=ovmot.BagTopics(left, right, imu)
+            data,
+            format,
+            sequence,
+            calibration,
+            topics=ovmot.BagTopics(left, right, imu),
+            need_pairs=False,
         )
     with (
         interruptible(NOTHING_WRITTEN),

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ovmot import DATASETS
+from ovmot import DATASETS, PRESETS
 
 FormatOption = Annotated[
     str | None, typer.Option(help=f"Kind of data: {', '.join(DATASETS)}; else recognised.")
@@ -14,7 +14,8 @@ SequenceOption = Annotated[
     str | None, typer.Option(help="Which sequence, where the folder holds several.")
 ]
 CalibrationOption = Annotated[
-    Path | None, typer.Option(help="Kalibr chain file, in place of the data's calibration.")
+    Path | None,
+    typer.Option(help="Kalibr chain, or a data set's folder, in place of the data's calibration."),
 ]
 LeftOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's left camera; else found.")
@@ -28,3 +29,11 @@ ImuOption = Annotated[
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="One setting: section.key=value; repeatable.")
 ]
+
+
+def preset_lines() -> list[str]:
+    """The presets in words, one line a format."""
+    return [
+        f"preset of {name}: {', '.join(f'{key}={value}' for key, value in preset.values.items())}"
+        for name, preset in PRESETS.items()
+    ]

@@ -13,7 +13,9 @@ from ovmot.datasets.calibration import (
 )
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
     images_in,
     note_missing_images,
@@ -44,14 +46,17 @@ def sequence_folder(mav: Path) -> Path:
     return mav.resolve().parent if mav.resolve().name == "mav0" else mav.resolve()
 
 
-def asl_listing(mav: Path, findings: Findings) -> StereoListing:
-    """The stereo pairs of `cam0` and `cam1`; raises `DatasetError` where there are none."""
+def asl_listing(mav: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
+    """The stereo pairs of `cam0` and `cam1`, by the nearest stamp.
+
+    Raises `DatasetError` where there are none.
+    """
     (listed_left, left), (listed_right, right) = (
-        _images(mav / camera, findings) for camera in ("cam0", "cam1")
+        _images(mav / camera, limits, findings) for camera in ("cam0", "cam1")
     )
     stamps, found = listed_left | listed_right, left.keys() | right.keys()
     note_missing_images(stamps, found, mav / "cam0" / "data.csv", findings)
-    return pair_images(left, right, mav, findings)
+    return pair_images(left, right, mav, findings, limits)
 
 
 def asl_imu(mav: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
@@ -72,15 +77,22 @@ def sensor_calibration(mav: Path, findings: Findings) -> Calibration:
     return read_euroc(*cameras, imu if imu.exists() else None)
 
 
-def _images(camera: Path, findings: Findings) -> tuple[set[int], dict[int, Path]]:
+def _images(
+    camera: Path, limits: ReadingLimits, findings: Findings
+) -> tuple[set[int], dict[int, Path]]:
     """Stamps of one camera and its images, from `data.csv` or, without it, from file names."""
-    listed = camera / "data.csv"
-    images_in(camera / "data")  # a missing folder is the clearer error
-    if not listed.exists():
-        found = numbered_images(camera / "data")
-        return set(found), found
-    stamps = checked_stamps(read_stamped_names(listed), findings)
-    return set(stamps), present_images(stamps, camera / "data", listed)
+    listed, folder = camera / "data.csv", camera / "data"
+    stamps: dict[int, str] = {}
+
+    def read() -> dict[int, Path]:
+        images_in(folder)  # a missing folder is the clearer error
+        if not listed.exists():
+            return numbered_images(folder)
+        stamps.update(checked_stamps(read_stamped_names(listed), findings))
+        return present_images(stamps, folder, listed)
+
+    found = camera_images(read, limits, findings)
+    return set(stamps) or set(found), found
 
 
 def read_euroc(cam0: Path, cam1: Path, imu: Path | None) -> Calibration:

@@ -32,7 +32,13 @@ NOISE_KEYS = {
 }
 """Keys of the noise densities, the same in Kalibr and EuRoC files."""
 
-_MOST_NOISE = 100.0
+_MOST_NOISE = {
+    "gyro": (0.5, "rad/s/sqrt(Hz)"),
+    "gyro_walk": (0.5, "rad/s^2/sqrt(Hz)"),
+    "accel": (5.0, "m/s^2/sqrt(Hz)"),
+    "accel_walk": (5.0, "m/s^3/sqrt(Hz)"),
+}
+"""A thousand times what common MEMS sensors have: so much is another unit, or a whole number."""
 _GRID = 9  # points a side
 _LEAST_SEEN = 0.25  # of the image: wrong coefficients fold the rest
 _FIELD = 0.003, 1e4  # tangent of the widest ray: 0.2 and 89.99 degrees
@@ -40,10 +46,14 @@ _FIELD = 0.003, 1e4  # tangent of the widest ray: 0.2 and 89.99 degrees
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A stereo rig and, where the files say it, the noise of its IMU."""
+    """A stereo rig and, where the files say it, the noise of its IMU.
+
+    `notes` are sentences for the user: what the files contradict or lack.
+    """
 
     rig: StereoRig
     imu_noise: ImuNoise | None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +167,9 @@ def read_pinhole(node: CalibrationNode, coefficients_key: str) -> Camera:
     size = node.size("resolution")
     if min(fx, fy) <= 0.0:
         raise node.fail("intrinsics", f"focal lengths {fx:g}, {fy:g} are not positive")
+    skew = node.number("skew") if node.has("skew") else 0.0  # of ours: see `kalibr.write_chain`
     try:
-        return Camera.make(size, (fx, fy), (cx, cy), distortion_model, distortion)
+        return Camera.make(size, (fx, fy), (cx, cy), distortion_model, distortion, skew=skew)
     except CalibrationError as error:
         raise node.fail(coefficients_key, str(error)) from None
 
@@ -168,8 +179,9 @@ def read_imu_noise(node: CalibrationNode) -> ImuNoise:
     values = {}
     for name, key in NOISE_KEYS.items():
         values[name] = node.number(key)
-        if not 0.0 < values[name] < _MOST_NOISE:
-            remedy = f"it is positive, SI, and below {_MOST_NOISE:g}"
+        most, unit = _MOST_NOISE[name]
+        if not 0.0 < values[name] < most:
+            remedy = f"it is positive and below {most:g} {unit}"
             raise node.fail(key, f"{values[name]:g} is not a noise density", remedy)
     return ImuNoise(**values)
 
@@ -190,6 +202,12 @@ def make_rig(
             size = f"{camera.width}x{camera.height} pixels"
             problem = f"{name}: no camera makes an image of {size} by these numbers"
             remedy = "correct focal lengths (in pixels) and distortion"
+            raise CalibrationError.at(path, problem, remedy)
+        cx, cy = camera.intrinsics[2:4].tolist()
+        if not (0.0 <= cx < camera.width and 0.0 <= cy < camera.height):
+            size = f"{camera.width}x{camera.height} pixels"
+            problem = f"{name}: the principal point ({cx:g}, {cy:g}) is outside the image of {size}"
+            remedy = "intrinsics are fx, fy, cx, cy; the width comes first"
             raise CalibrationError.at(path, problem, remedy)
     return rig.with_orthonormal_rotations()
 

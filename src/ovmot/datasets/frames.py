@@ -1,7 +1,7 @@
 """Which stereo frames a folder holds: files, stamps, and the pairs of left and right."""
 
-from collections.abc import Collection, Mapping, Set
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,26 +11,122 @@ from ovmot.datasets.images import SUFFIXES
 from ovmot.datasets.text_tables import StampedNames, is_stamp
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
+from ovmot.settings import ImuSettings, RecordingSettings
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingLimits:
+    """Up to where the reader of a folder or bag takes what is not as it should be.
+
+    `imu_max_gap_s`: a longer hole in the IMU's samples is reported. `pair_tolerance_s`: so far
+    apart may the stamps of the two images of a pair be. `need_pairs`: whether a camera without
+    images is an error; else its frames are listed as single images of the other one.
+    `need_imu_pose`: whether a calibration must say where the cameras are on the IMU.
+    """
+
+    imu_max_gap_s: float = ImuSettings().max_gap_s
+    pair_tolerance_s: float = RecordingSettings().pair_tolerance_s
+    need_pairs: bool = True
+    need_imu_pose: bool = True
+
+    @property
+    def pair_tolerance_ns(self) -> int:
+        return round(self.pair_tolerance_s * 1e9)
+
+    @property
+    def by_number(self) -> "ReadingLimits":
+        """For images that are paired by frame numbers."""
+        return replace(self, pair_tolerance_s=0.0)
+
+
+class NoImagesError(DatasetError):
+    """A camera has no images."""
 
 
 @dataclass(frozen=True, slots=True)
 class StereoListing:
-    """Stereo pairs in time order: stamps (M,) in ns and the image of each side."""
+    """Stereo pairs in time order: stamps (M,) in ns (the left image's) and the image of each side.
+
+    `left_alone` and `right_alone` are the images without a partner, by their stamp.
+    """
 
     frame_ns: IntArray
     left_paths: tuple[Path, ...]
     right_paths: tuple[Path, ...]
+    left_alone: Mapping[int, Path] = field(default_factory=dict)
+    right_alone: Mapping[int, Path] = field(default_factory=dict)
+
+    @property
+    def any_path(self) -> Path:
+        """One of the images."""
+        alone = *self.left_alone.values(), *self.right_alone.values()
+        return next(iter((*self.left_paths, *alone)))
+
+    def stamped(self, stamps_of: Callable[[IntArray], IntArray]) -> "StereoListing":
+        """The same by stamps in ns, where it is by frame numbers; `stamps_of` (K,) numbers."""
+        return replace(
+            self,
+            frame_ns=stamps_of(self.frame_ns),
+            left_alone=_restamped(self.left_alone, stamps_of),
+            right_alone=_restamped(self.right_alone, stamps_of),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ListedFrame:
+    """The images of one exposure; None for the side that is missing."""
+
+    timestamp_ns: int
+    left: Path | None
+    right: Path | None
+
+
+def listed_frames(listing: StereoListing) -> tuple[ListedFrame, ...]:
+    """All frames in time order: the pairs, and the single images, the other side None."""
+    pairs = zip(listing.frame_ns.tolist(), listing.left_paths, listing.right_paths, strict=True)
+    frames = [
+        *(ListedFrame(*pair) for pair in pairs),
+        *(ListedFrame(stamp, path, None) for stamp, path in listing.left_alone.items()),
+        *(ListedFrame(stamp, None, path) for stamp, path in listing.right_alone.items()),
+    ]
+    return tuple(sorted(frames, key=lambda frame: frame.timestamp_ns))
+
+
+def _restamped(
+    images: Mapping[int, Path], stamps_of: Callable[[IntArray], IntArray]
+) -> dict[int, Path]:
+    """Single images by stamp; none where the times do not serve: their pairs are complete."""
+    if not images:
+        return {}
+    try:
+        stamps = stamps_of(np.array(list(images), dtype=np.int64))
+    except DatasetError:
+        return {}
+    return dict(zip(stamps.tolist(), images.values(), strict=True))
 
 
 def images_in(folder: Path) -> dict[str, Path]:
-    """The image files of a folder by name; raises `DatasetError` if it is missing or has none."""
+    """The image files of a folder by name; raises `NoImagesError` if it is missing or has none."""
     if not folder.is_dir():
-        raise DatasetError.at(folder, "no such folder", "the images of one camera belong here")
+        raise NoImagesError.at(folder, "no such folder", "the images of one camera belong here")
     names = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in SUFFIXES)
     found = {name: folder / name for name in names if not name.startswith(".")}
     if not found:
-        raise DatasetError.at(folder, "no images in this folder", f"known: {' '.join(SUFFIXES)}")
+        raise NoImagesError.at(folder, "no images in this folder", f"known: {' '.join(SUFFIXES)}")
     return found
+
+
+def camera_images(
+    read: Callable[[], dict[int, Path]], limits: ReadingLimits, findings: Findings
+) -> dict[int, Path]:
+    """The images that `read` finds; none, noted, where that serves too (`limits.need_pairs`)."""
+    try:
+        return read()
+    except NoImagesError as error:
+        if limits.need_pairs:
+            raise
+        findings.note("camera_missing", 1, str(error))
+        return {}
 
 
 def numbered_images(folder: Path) -> dict[int, Path]:
@@ -63,10 +159,14 @@ def checked_stamps(listed: StampedNames, findings: Findings) -> dict[int, str]:
     return out
 
 
-def present_images(stamps: Mapping[int, str], folder: Path, listed_in: Path) -> dict[int, Path]:
+def present_images(
+    stamps: Mapping[int, str], folder: Path, listed_in: Path, tolerance_ns: int = 0
+) -> dict[int, Path]:
     """The images of those listed stamps that have one, by stamp.
 
-    A stamp listed without a file name means `<stamp>.png`. Raises `DatasetError` if none is there.
+    A stamp listed without a file name means `<stamp>.png`, else the image whose own stamp, its
+    name, is the nearest within `tolerance_ns`; it keeps its own. Raises `NoImagesError` if none is
+    there.
     """
     files = images_in(folder)
     found = {
@@ -74,9 +174,14 @@ def present_images(stamps: Mapping[int, str], folder: Path, listed_in: Path) -> 
         for stamp, name in ((s, n or f"{s}.png") for s, n in stamps.items())
         if name in files
     }
+    nameless = [stamp for stamp, name in stamps.items() if not name and stamp not in found]
+    if nameless and tolerance_ns:
+        own = {int(p.stem): p for p in files.values() if is_stamp(p.stem)}
+        others = own.keys() - found.keys()
+        found |= {s: own[s] for s in match_stamps(nameless, others, tolerance_ns).values()}
     if not found:
         problem = f"none of its {len(stamps)} stamps has an image in {folder}"
-        raise DatasetError.at(listed_in, problem, "file names are the stamps in nanoseconds")
+        raise NoImagesError.at(listed_in, problem, "file names are the stamps in nanoseconds")
     return found
 
 
@@ -93,27 +198,94 @@ def note_missing_images(
 
 
 def pair_images(
-    left: Mapping[int, Path], right: Mapping[int, Path], root: Path, findings: Findings
+    left: Mapping[int, Path],
+    right: Mapping[int, Path],
+    root: Path,
+    findings: Findings,
+    limits: ReadingLimits,
 ) -> StereoListing:
-    """Pairs of equal stamp, as `paired_stamps`."""
-    both = paired_stamps(left.keys(), right.keys(), root, findings)
+    """The pairs of images by stamp (or number), as `pair_stamps`."""
+    left_ns, right_ns = pair_stamps(left.keys(), right.keys(), root, findings, limits)
+    pairs_left, pairs_right = left_ns.tolist(), right_ns.tolist()
     return StereoListing(
-        both, tuple(left[s] for s in both.tolist()), tuple(right[s] for s in both.tolist())
+        left_ns,
+        tuple(left[s] for s in pairs_left),
+        tuple(right[s] for s in pairs_right),
+        {s: left[s] for s in sorted(left.keys() - set(pairs_left))},
+        {s: right[s] for s in sorted(right.keys() - set(pairs_right))},
     )
 
 
-def paired_stamps(left: Set[int], right: Set[int], root: Path, findings: Findings) -> IntArray:
-    """Stamps (M,) in ns that both cameras have, rising; what has no partner is counted.
+def pair_stamps(
+    left: Collection[int],
+    right: Collection[int],
+    root: Path,
+    findings: Findings,
+    limits: ReadingLimits,
+) -> tuple[IntArray, IntArray]:
+    """Stamps in ns of the M pairs, left (M,) and right (M,), both rising.
 
-    Raises `DatasetError` if fewer than half of one camera's images have a partner.
+    A pair are two images nearest to each other, at most `limits.pair_tolerance_s` apart. What has
+    no partner is counted, and so are pairs of unequal stamps. Raises `DatasetError` where there is
+    no pair, unless one camera has no images and that serves too.
     """
-    both = sorted(left & right)
-    most = max(len(left), len(right))
-    if 2 * len(both) < most or not both:
-        problem = f"{len(left)} left and {len(right)} right images, only {len(both)} pairs"
-        remedy = "both cameras need images of equal stamps; copy the missing ones"
+    partner = match_stamps(left, right, limits.pair_tolerance_ns)
+    one_camera = bool(left) != bool(right)
+    if not partner and (limits.need_pairs or not one_camera):
+        problem, remedy = _no_pairs(left, right), _pair_remedy(limits.pair_tolerance_ns)
         raise DatasetError.at(root, problem, remedy)
-    alone_left, alone_right = len(left) - len(both), len(right) - len(both)
-    text = f"{root}: {alone_left} left and {alone_right} right images without a partner: dropped"
-    findings.note("unpaired_images", alone_left + alone_right, text)
-    return np.array(both, dtype=np.int64)
+    left_ns = np.array(list(partner), dtype=np.int64)
+    right_ns = np.array(list(partner.values()), dtype=np.int64)
+    alone = len(left) - len(partner), len(right) - len(partner)
+    text = (
+        f"{root}: {alone[0]} left and {alone[1]} right images without a partner"
+        f" (of {len(left)} and {len(right)}): dropped"
+    )
+    findings.note("unpaired_images", sum(alone), text)
+    apart_ns = np.abs(right_ns - left_ns)
+    most_ms = 1e-6 * apart_ns.max(initial=0)
+    text = (
+        f"{root}: the stamps of left and right differ by up to {most_ms:.3g} ms:"
+        " paired by the nearest, the left one's counts"
+    )
+    findings.note("pairs_of_unequal_stamps", int(np.count_nonzero(apart_ns)), text)
+    return left_ns, right_ns
+
+
+def match_stamps(
+    left: Collection[int], right: Collection[int], tolerance_ns: int
+) -> dict[int, int]:
+    """Left stamp -> right stamp (ns), rising, of those nearest to each other and near enough."""
+    if not left or not right:
+        return {}
+    a, b = (np.array(sorted(stamps), dtype=np.int64) for stamps in (left, right))
+    to_left, to_right = _nearest(a, b), _nearest(b, a)
+    mutual = to_left[to_right] == np.arange(len(a))
+    mutual &= np.abs(b[to_right] - a) <= tolerance_ns
+    return dict(zip(a[mutual].tolist(), b[to_right[mutual]].tolist(), strict=True))
+
+
+def _nearest(stamps: IntArray, wanted: IntArray) -> IntArray:
+    """Index of the nearest stamp for each wanted one; both rise."""
+    after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(stamps[before] - wanted) < np.abs(stamps[after] - wanted)
+    return np.where(nearer, before, after)
+
+
+def _no_pairs(left: Collection[int], right: Collection[int]) -> str:
+    problem = f"{len(left)} left and {len(right)} right images, only 0 pairs"
+    nearest = match_stamps(left, right, 2**62)
+    if not nearest:
+        return problem
+    gap_ns = min(abs(r - s) for s, r in nearest.items())
+    return f"{problem}: the nearest stamps are {1e-6 * gap_ns:.6g} ms apart"
+
+
+def _pair_remedy(tolerance_ns: int) -> str:
+    if not tolerance_ns:
+        return "both cameras need images of equal numbers; copy the missing ones"
+    return (
+        f"a pair's stamps differ by at most {1e-9 * tolerance_ns:g} s"
+        " (--set recording.pair_tolerance_s): copy the missing images, or check the clocks"
+    )

@@ -9,6 +9,7 @@ import numpy as np
 
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import AnyArray, Image
+from ovmot.text_files import LFS_POINTER, LFS_REMEDY, is_lfs_pointer
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
 
@@ -64,6 +65,8 @@ def decode(data: bytes, where: Path | str, mode: int) -> AnyArray:
     """
     if not data:
         raise DatasetError.at(where, "the image file is empty", _REMEDY)
+    if is_lfs_pointer(data[:64]):
+        raise DatasetError.at(where, LFS_POINTER, LFS_REMEDY)
     if data.startswith(_PNG_SIGNATURE):
         _check_png(where, data)
     elif data.startswith(b"\xff\xd8") and data.rfind(b"\xff\xd9") < 0:

@@ -5,7 +5,7 @@ warning. docs/data.md has the table. Keys: the public documentation of OpenVINS,
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from ovmot.datasets.calibration import (
     CalibrationNode,
     load_calibration_yaml,
 )
-from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.kalibr import read_kalibr_cameras, read_kalibr_noise
+from ovmot.datasets.presets import given_max_gap_s
 from ovmot.errors import InputError
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings, make_settings, read_yaml_mapping
@@ -86,7 +87,7 @@ _MARKS = PLAIN.keys() | WORDS.keys() | ALWAYS.keys() | _JOINT
 
 _CAMERA_KEYS = {
     "T_imu_cam", "T_cam_imu", "T_cn_cnm1", "camera_model", "distortion_coeffs", "distortion_model",
-    "intrinsics", "resolution", "timeshift_cam_imu",
+    "intrinsics", "resolution", "skew", "timeshift_cam_imu",
 }  # fmt: skip
 _NOISE = "noise_density", "random_walk"
 _IDENTITIES: dict[str, list[list[float]]] = {
@@ -107,10 +108,18 @@ class RunConfig:
     mask_files: tuple[Path | None, Path | None] = (None, None)
     warnings: tuple[str, ...] = ()
 
+    @property
+    def imu_max_gap_s(self) -> float | None:
+        """The setting `imu.max_gap_s` where it was given."""
+        return given_max_gap_s(self.settings)
 
-def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunConfig:
+
+def load_run_config(
+    file: StrPath | None, overrides: Sequence[str] = (), *, need_imu_pose: bool = True
+) -> RunConfig:
     """Settings of ours or of OpenVINS, recognised by the keys; `overrides` are `section.key=value`.
 
+    `need_imu_pose`: whether OpenVINS's chain must say where the cameras are on the IMU.
     Raises `InputError` as `load_settings` does, and for chains that are missing or broken.
     """
     if file is None:
@@ -119,7 +128,7 @@ def load_run_config(file: StrPath | None, overrides: Sequence[str] = ()) -> RunC
     data = read_yaml_mapping(path)
     if not is_openvins(data):
         return RunConfig(load_settings(path, overrides))
-    calibration, unused_in_chains = _read_chains(path, data)
+    calibration, unused_in_chains = _read_chains(path, data, need_imu_pose)
     values, unused = translate(path, data)
     settings = make_settings(values, overrides, f"{path} (OpenVINS)")
     masks = _mask_files(path, data)
@@ -220,7 +229,7 @@ def _mask_files(path: Path, data: Mapping[str, Any]) -> tuple[Path | None, Path 
 
 
 def _read_chains(
-    path: Path, data: Mapping[str, Any]
+    path: Path, data: Mapping[str, Any], need_imu_pose: bool
 ) -> tuple[Calibration | None, list[tuple[Path, list[str]]]]:
     """The calibration of the chains, and the keys in each of them that have no effect."""
     if "relative_config_imucam" not in data:
@@ -232,7 +241,7 @@ def _read_chains(
         file = path.parent / str(data["relative_config_imu"])
         noise = read_kalibr_noise(file)
         unused.append((file, _unused_of_imu(load_calibration_yaml(file))))
-    return Calibration(read_kalibr_rig(chain), noise), unused
+    return replace(read_kalibr_cameras(chain, need_imu_pose), imu_noise=noise), unused
 
 
 def _unused_of_cameras(chain: CalibrationNode) -> list[str]:

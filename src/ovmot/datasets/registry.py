@@ -5,7 +5,7 @@ writer, and a line in `DATASETS`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -17,12 +17,14 @@ from ovmot.datasets.euroc.reader import EurocReader
 from ovmot.datasets.euroc.writer import write_asl
 from ovmot.datasets.four_seasons.reader import FourSeasonsReader
 from ovmot.datasets.four_seasons.writer import write_four_seasons
+from ovmot.datasets.frames import ReadingLimits
 from ovmot.datasets.kaist.reader import KaistReader
 from ovmot.datasets.kaist.writer import write_kaist
-from ovmot.datasets.kalibr import read_kalibr
+from ovmot.datasets.kalibr import CHAIN_FILE, read_kalibr
 from ovmot.datasets.kitti.reader import KittiReader
-from ovmot.datasets.kitti_raw.reader import KittiRawReader
+from ovmot.datasets.kitti_raw.reader import KittiRawReader, has_sparse_imu
 from ovmot.datasets.kitti_raw.writer import write_kitti_extract, write_kitti_sync
+from ovmot.datasets.presets import Preset, shipped_preset
 from ovmot.datasets.sequence import FolderSequence, RecordedSequence
 from ovmot.datasets.tum_vi.reader import TumViReader
 from ovmot.datasets.tum_vi.writer import write_tum_vi
@@ -32,7 +34,7 @@ from ovmot.datasets.viode.reader import ViodeReader
 from ovmot.datasets.viode.writer import write_viode
 from ovmot.datasets.writing import Writer
 from ovmot.errors import InputError
-from ovmot.settings import ImuSettings
+from ovmot.settings import Settings
 from ovmot.text_files import StrPath
 
 
@@ -50,7 +52,7 @@ class Reader(Protocol):
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe a sequence, with the folder's own calibration unless one is given."""
         ...
@@ -61,10 +63,12 @@ _GIVE = "give the folder of a recorded sequence, or a ROS bag (.bag, .mcap, .db3
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """A kind of data set: how its folders are read, and the writers of its formats by name."""
+    """A kind of data set: how its folders are read, the writers of its formats by name, and the
+    settings that it wants."""
 
     reader: Reader
     writers: Mapping[str, Writer] = field(default_factory=dict)
+    preset: Preset | None = None
 
 
 DATASETS: dict[str, Dataset] = {
@@ -72,10 +76,12 @@ DATASETS: dict[str, Dataset] = {
     "kaist": Dataset(KaistReader(), {"kaist": write_kaist}),
     "kitti": Dataset(KittiReader()),
     "kitti_raw": Dataset(
-        KittiRawReader(), {"kitti_sync": write_kitti_sync, "kitti_extract": write_kitti_extract}
+        KittiRawReader(),
+        {"kitti_sync": write_kitti_sync, "kitti_extract": write_kitti_extract},
+        shipped_preset("kitti_raw", "kitti_raw", has_sparse_imu),
     ),
     "tum_vi": Dataset(TumViReader(), {"tum_vi": write_tum_vi}),
-    "viode": Dataset(ViodeReader(), {"viode": write_viode}),
+    "viode": Dataset(ViodeReader(), {"viode": write_viode}, shipped_preset("viode", "viode")),
     "uzh_fpv": Dataset(UzhFpvReader(), {"uzh_fpv": write_uzh_fpv}),
     "4seasons": Dataset(FourSeasonsReader(), {"4seasons": write_four_seasons}),
 }
@@ -85,6 +91,11 @@ WRITERS: dict[str, Writer] = {
 }
 """The writers of all data sets by the name of their format."""
 
+PRESETS: dict[str, Preset] = {
+    name: kind.preset for name, kind in DATASETS.items() if kind.preset is not None
+}
+"""The presets of all data sets by the name of the format."""
+
 
 def open_recording(
     path: StrPath,
@@ -93,6 +104,9 @@ def open_recording(
     calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
+    pair_tolerance_s: float | None = None,
+    need_pairs: bool = True,
+    need_imu_pose: bool = True,
 ) -> RecordedSequence:
     """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
@@ -105,11 +119,21 @@ def open_recording(
     sequence
         Which one, where the folder holds several.
     calibration
-        A Kalibr chain (a file, or a folder with one) or a value, in place of the data's own.
+        A Kalibr chain (a file, or a folder with one), the folder of a data set, or a value, in
+        place of the data's own.
     imu_max_gap_s
-        The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported.
+        The setting `imu.max_gap_s`: a longer hole in the IMU's samples is reported. None for the
+        preset's, else the default.
     topics
         Those of a bag, where they cannot be found by their types.
+    pair_tolerance_s
+        The setting `recording.pair_tolerance_s`: so far apart may a pair's stamps be.
+    need_pairs
+        Whether a folder without images of one camera is an error; else it is a sequence of no
+        frames, to be examined.
+    need_imu_pose
+        Whether a Kalibr chain must say where the cameras are on the IMU; else the left camera
+        stands for the IMU, for poses that are given.
 
     Returns
     -------
@@ -127,9 +151,19 @@ def open_recording(
     if bag is None:
         if topics is not None:
             _refuse(root, "is no bag", left=topics.left, right=topics.right, imu=topics.imu)
-        return open_sequence(root, format, sequence, given, imu_max_gap_s)
+        return open_sequence(
+            root,
+            format,
+            sequence,
+            given,
+            imu_max_gap_s,
+            pair_tolerance_s,
+            need_pairs,
+            need_imu_pose,
+        )
     _refuse(root, "is a bag", format=format, sequence=sequence)
-    return read_bag(bag, topics or BagTopics(), given, _gap(imu_max_gap_s))
+    limits = replace(_limits(imu_max_gap_s, pair_tolerance_s), need_imu_pose=need_imu_pose)
+    return read_bag(bag, topics or BagTopics(), given, limits)
 
 
 def open_sequence(
@@ -138,6 +172,9 @@ def open_sequence(
     sequence: str | None = None,
     calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
+    pair_tolerance_s: float | None = None,
+    need_pairs: bool = True,
+    need_imu_pose: bool = True,
 ) -> FolderSequence:
     """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
     root = Path(path)
@@ -146,20 +183,42 @@ def open_sequence(
     if not root.is_dir():
         raise InputError.at(root, "not a folder, and not a bag", _GIVE)
     chain = _as_calibration(calibration)
-    given = read_kalibr(chain) if isinstance(chain, Path) else chain
-    gap = _gap(imu_max_gap_s)
+    given = read_kalibr(chain, need_imu_pose) if isinstance(chain, Path) else chain
+    limits = replace(
+        _limits(imu_max_gap_s, pair_tolerance_s), need_pairs=need_pairs, need_imu_pose=need_imu_pose
+    )
     if format is not None:
         if format not in DATASETS:
             raise InputError(f"--format {format}: unknown; known: {', '.join(DATASETS)}")
-        return DATASETS[format].reader.read(root, sequence, given, gap)
+        return _read(format, root, sequence, given, limits, imu_max_gap_s)
     kinds = recognise(root)
     if not kinds and sequence is not None and len(recognise(root / sequence)) == 1:
-        return open_sequence(root / sequence, None, None, given, imu_max_gap_s)
+        root, sequence = root / sequence, None
+        kinds = recognise(root)
     if len(kinds) != 1:
         what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
         known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
         raise InputError.at(root, what, f"choose with --format. Known: {known}")
-    return DATASETS[kinds[0]].reader.read(root, sequence, given, gap)
+    return _read(kinds[0], root, sequence, given, limits, imu_max_gap_s)
+
+
+def _read(
+    kind: str,
+    root: Path,
+    sequence: str | None,
+    calibration: Calibration | None,
+    limits: ReadingLimits,
+    given_max_gap_s: float | None,
+) -> FolderSequence:
+    """The sequence with its preset; a noise of the IMU that the calibration says overrules it."""
+    data = DATASETS[kind]
+    preset = data.preset if data.preset and data.preset.serves(root, sequence) else None
+    if given_max_gap_s is None and preset is not None:
+        limits = replace(limits, imu_max_gap_s=preset.under(Settings()).imu.max_gap_s)
+    found = data.reader.read(root, sequence, calibration, limits)
+    if preset is not None and found.imu_noise is not None:
+        preset = preset.without_noise()
+    return replace(found, preset=preset)
 
 
 def recognise(path: Path) -> list[str]:
@@ -168,11 +227,24 @@ def recognise(path: Path) -> list[str]:
 
 
 def _as_calibration(given: StrPath | Calibration | None) -> Path | Calibration | None:
-    return given if given is None or isinstance(given, Calibration) else Path(given)
+    """A data set's folder as its own calibration; what else is given is a chain."""
+    if given is None or isinstance(given, Calibration):
+        return given
+    path = Path(given)
+    if not path.is_dir() or (path / CHAIN_FILE).exists() or not recognise(path):
+        return path
+    sequence = open_sequence(path)
+    return Calibration(sequence.rig, sequence.imu_noise)
 
 
-def _gap(given_s: float | None) -> float:
-    return ImuSettings().max_gap_s if given_s is None else given_s
+def _limits(imu_max_gap_s: float | None, pair_tolerance_s: float | None) -> ReadingLimits:
+    """The limits that are given, the defaults for those that are not."""
+    limits = ReadingLimits()
+    if imu_max_gap_s is not None:
+        limits = replace(limits, imu_max_gap_s=imu_max_gap_s)
+    if pair_tolerance_s is not None:
+        limits = replace(limits, pair_tolerance_s=pair_tolerance_s)
+    return limits
 
 
 def _refuse(path: Path, why: str, **options: str | None) -> None:

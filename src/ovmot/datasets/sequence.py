@@ -13,10 +13,12 @@ from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing
 from ovmot.datasets.instance_masks import InstanceImages
+from ovmot.datasets.presets import Preset
 from ovmot.datasets.stream import events
 from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image, IntArray
+from ovmot.settings import Settings
 from ovmot.types import Event, ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
@@ -43,7 +45,8 @@ class RecordedSequence(ABC):
     its frames: KITTI's image numbers, else counted from 0. `imu` is None where the data has none
     (ego poses must then come from a file), `imu_noise` None where the data does not say it.
     `instances` are there where the data has images of what each pixel shows. `warnings` are
-    sentences for the user; `counts` the numbers behind them.
+    sentences for the user; `counts` the numbers behind them. `preset` are the settings that this
+    kind of data wants.
 
     Its length is M; iterated over, it gives the events of all frames (see `stream.events`).
     """
@@ -59,9 +62,15 @@ class RecordedSequence(ABC):
     warnings: tuple[str, ...]
     counts: Mapping[str, int]
     instances: InstanceImages | None = None
+    preset: Preset | None = None
 
     def __len__(self) -> int:
         return len(self.frame_ns)
+
+    def settings(self, given: Settings | None = None) -> Settings:
+        """The settings for this data: what is given, else its preset's, else the defaults."""
+        chosen = given or Settings()
+        return chosen if self.preset is None else self.preset.under(chosen)
 
     def __iter__(self) -> Iterator[Event]:
         return events(self)
@@ -73,11 +82,16 @@ class RecordedSequence(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderSequence(RecordedSequence):
-    """Stereo pairs in files; `decode` turns a file into a grey image."""
+    """Stereo pairs in files; `decode` turns a file into a grey image.
+
+    `listing` has all images that were found: also those that the IMU does not cover, and, see
+    `frames.listed_frames`, those without a partner.
+    """
 
     left_paths: tuple[Path, ...]
     right_paths: tuple[Path, ...]
     decode: Decode
+    listing: StereoListing
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         for index in range(first, stop):
@@ -111,7 +125,7 @@ def assemble(
         problem = f"{len(stamps)} stereo pairs within {stamps[-1] - stamps[0]} ns"
         raise DatasetError.at(root, problem, "stamps are nanoseconds: convert them")
     keep = np.arange(len(listing.frame_ns))
-    if imu is not None:
+    if imu is not None and len(stamps):
         keep = covered_frames(listing.frame_ns, imu, calibration.rig.time_offset_s, root, findings)
     return FolderSequence(
         kind=kind,
@@ -125,7 +139,8 @@ def assemble(
         left_paths=tuple(listing.left_paths[i] for i in keep),
         right_paths=tuple(listing.right_paths[i] for i in keep),
         decode=decode,
-        warnings=tuple(findings.warnings),
+        listing=listing,
+        warnings=(*calibration.notes, *findings.warnings),
         counts=dict(findings.counts),
         instances=instances,
     )

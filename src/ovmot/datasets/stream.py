@@ -102,9 +102,12 @@ def _image(stored: "StoredImage", camera: Camera) -> Image:
     image = stored.decode()
     height, width = image.shape
     if (width, height) != (camera.width, camera.height):
+        exchanged = (height, width) == (camera.width, camera.height)
         raise DatasetError.at(
             stored.where,
             f"the image is {width}x{height} pixels, its camera {camera.width}x{camera.height}",
-            "give the calibration that belongs to these images",
+            "exchange width and height in the calibration"
+            if exchanged
+            else "give the calibration that belongs to these images",
         )
     return image

@@ -6,7 +6,7 @@ from pathlib import Path
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.doctor.camera_rotations import CameraRotations, camera_rotations
-from ovmot.doctor.images import check_images
+from ovmot.doctor.images import check_images, check_readable
 from ovmot.doctor.imu_units import (
     check_accel_unit,
     check_gravity,
@@ -25,6 +25,8 @@ from ovmot.types import ImuData
 
 def sampled_frames(sequence: RecordedSequence) -> int:
     """How many stereo pairs `examine` will look at."""
+    if len(sequence) == 0:
+        return 0
     return sum(
         last - first + 1 for first, last in choose_stretches(sequence.frame_ns, sequence.imu)
     )
@@ -38,24 +40,51 @@ def examine(
     """Everything that is wrong or doubtful in a sequence, in plain words.
 
     `advance` hears how many frames have been looked at; `calibration` is the file that stands in
-    place of the data's own, if one does. Raises `DatasetError` for a broken image.
+    place of the data's own, if one does. A sequence without pairs, of one camera alone, is
+    examined so far as that goes. Raises `DatasetError` where no image can be read.
     """
     locations = locations_of(sequence.kind, None if calibration is None else str(calibration))
+    if len(sequence) == 0:
+        return make_report(sequence.name, sequence.kind, _without_pairs(sequence, locations))
     seen = observe(sequence, choose_stretches(sequence.frame_ns, sequence.imu), advance)
     stereo_findings, rig = check_stereo(seen.matches, sequence.rig, locations)
     findings = [
         *check_frame_times(sequence.frame_ns, sequence.counts),
         *check_images(seen.images),
+        *check_readable(seen.broken, len(seen.images)),
         *stereo_findings,
     ]
     if sequence.imu is None:
-        says = "the data has no IMU, or none that is fast enough"
-        findings.append(Finding("IMU", Severity.UNKNOWN, says, "run it with --ego poses FILE"))
+        findings.append(_no_imu(sequence, locations))
     else:
         turns = camera_rotations(seen.stretches, rig)
         findings.append(check_coverage(len(sequence), sequence.counts))
         findings += _imu_findings(sequence.imu, turns, rig, sequence.counts, locations)
     return make_report(sequence.name, sequence.kind, findings)
+
+
+def _no_imu(sequence: RecordedSequence, locations: Locations) -> Finding:
+    """Missing, or not a part of this kind of data at all."""
+    remedy = "run it with --ego poses FILE"
+    if sequence.counts.get("no_imu"):
+        says = "the data should have an IMU, and has none"
+        return Finding("IMU", Severity.WRONG, says, f"copy {locations.imu}, or {remedy}")
+    says = "the data has no IMU, or none that is fast enough"
+    return Finding("IMU", Severity.UNKNOWN, says, remedy)
+
+
+def _without_pairs(sequence: RecordedSequence, locations: Locations) -> list[Finding]:
+    """The checks that need no stereo pair."""
+    says = "one camera has no images: no check of images and calibration is possible"
+    findings = [Finding("cameras", Severity.WRONG, says, f"copy {locations.images}")]
+    if sequence.imu is None:
+        return [*findings, _no_imu(sequence, locations)]
+    imu = sequence.imu
+    findings += check_imu_times(imu.timestamp_ns, sequence.counts, ImuSettings().max_gap_s)
+    if len(imu) < 3:
+        return findings
+    more = check_accel_unit(imu), check_gyro_range(imu), *check_imu_saturation(imu)
+    return [*findings, *more]
 
 
 def _imu_findings(

@@ -59,6 +59,14 @@ def check_images(images: Sequence[ImageStatistics]) -> list[Finding]:
     ]
 
 
+def check_readable(broken: Sequence[str], n_read: int) -> list[Finding]:
+    """One finding where some of the sampled images could not be read; `broken` has a line each."""
+    if not broken:
+        return []
+    says = f"{len(broken)} of {n_read + len(broken)} stereo pairs cannot be read: {broken[0]}"
+    return [Finding("images", Severity.WRONG, says)]
+
+
 def _contrast(grey_range: float) -> Finding:
     says = f"grey levels span {grey_range:.0f} of 255 (2nd to 98th percentile)"
     if grey_range < _NO_RANGE:

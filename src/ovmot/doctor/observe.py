@@ -1,6 +1,6 @@
 """What the doctor looks at: stretches of consecutive frames, matched by the front end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -10,6 +10,7 @@ from ovmot.cameras.camera import Camera
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
 from ovmot.doctor.images import ImageStatistics, image_statistics
+from ovmot.errors import DatasetError
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -33,10 +34,14 @@ class FrameMatches:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """What the sampled frames show: a tuple of matches for each stretch, and all the images."""
+    """What the sampled frames show: a tuple of matches for each stretch, and all the images.
+
+    `broken` has a line for each pair that could not be read.
+    """
 
     stretches: tuple[tuple[FrameMatches, ...], ...]
     images: tuple[ImageStatistics, ...]
+    broken: tuple[str, ...] = ()
 
     @property
     def matches(self) -> FloatArray:
@@ -76,27 +81,46 @@ def observe(
 ) -> Observations:
     """Follow and match features through the stretches; `advance` hears how many frames are done.
 
-    Raises `DatasetError` for a broken image.
+    Pairs that cannot be read are left out. Raises `DatasetError` where none can.
     """
     seen: list[tuple[FrameMatches, ...]] = []
     images: list[ImageStatistics] = []
+    broken: list[DatasetError] = []
     for first, last in stretches:
         tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
         stretch: list[FrameMatches] = []
         T_now_before = np.eye(4)  # as the last one
         with closing(tracker):
-            for frame in events(sequence, first=first, last=last):
-                if not isinstance(frame, StereoFrame):
-                    continue
+            for frame in _readable(sequence, first, last, broken):
                 _, tested = tracker.track(frame, T_now_before, no_feedback(sequence.rig))
                 stretch.append(FrameMatches(frame.timestamp_ns, tested.feature_id, tested.pixels))
                 if len(stretch) > 1:
                     R = rotation_between(stretch[-2], stretch[-1], sequence.rig.cam0)
                     T_now_before = se3.make(R, np.zeros(3))
                 images.append(image_statistics(frame, images[-1] if images else None))
-                advance(len(images))
+                advance(len(images) + len(broken))
         seen.append(tuple(stretch))
-    return Observations(tuple(seen), tuple(images))
+    if broken and not images:
+        raise broken[0]
+    return Observations(tuple(seen), tuple(images), tuple(str(error) for error in broken))
+
+
+def _readable(
+    sequence: RecordedSequence, first: int, last: int, broken: list[DatasetError]
+) -> Generator[StereoFrame, None, None]:
+    """The stereo frames `first` to `last` that can be read; why not goes into `broken`."""
+    at = first
+    while at <= last:
+        with closing(events(sequence, first=at, last=last)) as stream:
+            try:
+                for event in stream:
+                    if isinstance(event, StereoFrame):
+                        at += 1
+                        yield event
+                return
+            except DatasetError as error:
+                broken.append(error)
+                at += 1
 
 
 def rotation_between(before: FrameMatches, now: FrameMatches, camera: Camera) -> FloatArray:

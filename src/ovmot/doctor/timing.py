@@ -101,10 +101,12 @@ def _dropped(
     for key, text in _NOTICED.items():
         if counts.get(key):
             says += f"; {text}: {counts[key]}"
+    alone = counts.get("unpaired_images", 0)
+    share = max(share, alone / (n_frames + alone))
     remedy = "copy the missing images, or record with more disk or network bandwidth"
     if share > _MANY or (lost and longest > _LONGEST_HOLE_S):
         return Finding("dropped frames", Severity.WRONG, says, remedy)
-    if lost:
+    if lost or alone:
         return Finding("dropped frames", Severity.DOUBTFUL, says, remedy)
     return Finding("dropped frames", Severity.FINE, says)
 

@@ -4,7 +4,7 @@ import contextlib
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +38,9 @@ class InputIdentity:
 class RunSummary:
     """A run in numbers.
 
-    `options` is what it was asked beside the settings; `imu_noise` is what the filter used, from
-    the settings, the data or the fallback.
+    `options` is what it was asked beside the settings. `preset` are the values of the data's preset
+    that are in force, by `section.key`, under `preset_name`. `imu_noise` is what the filter used,
+    from the settings, the data or the fallback.
     `counts` by name (frames_in, frames_written, imu_samples, resets, frames_dropped, ...);
     `not_started_because`: the last reason for which the ego motion could not start at a frame, None
     where it always could. `warnings` says how often each was given; `ended` is `finished`,
@@ -55,6 +56,8 @@ class RunSummary:
     not_started_because: str | None
     ended: str
     wall_seconds: float
+    preset_name: str | None = None
+    preset: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.ended not in ("finished", "interrupted") and not self.ended.startswith("failed: "):
@@ -101,6 +104,9 @@ def _as_json(summary: RunSummary) -> dict[str, Any]:
         ],
         "not_started_because": summary.not_started_because,
         "options": dict(summary.options),
+        "preset": None
+        if summary.preset_name is None
+        else {"name": summary.preset_name, "values": dict(summary.preset)},
         "settings": summary.settings.model_dump(mode="json"),
         "imu_noise": None if summary.imu_noise is None else asdict(summary.imu_noise),
         "versions": versions(),

@@ -22,7 +22,9 @@ _MOUNT = "--calibration FILE with cam0.T_cam_imu (and timeshift_cam_imu)"
 _CHAIN = "give a Kalibr chain of both cameras with --calibration FILE"
 
 
-def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | Calibration | None) -> Calibration:
+def bag_calibration(
+    bag: Bag, topics: FoundTopics, chain: Path | Calibration | None, need_imu_pose: bool = True
+) -> Calibration:
     """The calibration from `chain`; what it leaves out (both cameras) from CameraInfo.
 
     A `chain` that is a calibration already is all. Raises `CalibrationError` that says what is
@@ -31,7 +33,7 @@ def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | Calibration | N
     if isinstance(chain, Calibration):
         return chain
     if chain is not None and not is_mount(chain):
-        return read_kalibr(chain)
+        return read_kalibr(chain, need_imu_pose)
     nodes = [_info(bag, topic) for topic in (topics.left, topics.right)]
     names = [t for t, node in zip((topics.left, topics.right), nodes, strict=True) if node is None]
     if names:

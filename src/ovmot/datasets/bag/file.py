@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from ovmot.errors import DatasetError, InputError
+from ovmot.text_files import LFS_POINTER, LFS_REMEDY, is_lfs_pointer
 
 _REMEDIES = {
     ".bag": "copy the bag again, or repair it with 'rosbag reindex'",
@@ -52,6 +53,8 @@ class Bag:
     def __init__(self, path: Path) -> None:
         self.path = path
         for file in [path] if path.is_file() else path.glob("*.db3"):
+            if _is_pointer(file):
+                raise DatasetError.at(file, LFS_POINTER, LFS_REMEDY)
             if file.suffix == ".db3" and _is_cut(file):
                 raise self.unreadable(f"{file.name} is truncated")
         try:
@@ -105,6 +108,11 @@ class Bag:
             except Exception as error:
                 raise self.unreadable(_words(error)) from None
             yield BagMessage(connection.topic, received_ns, value)
+
+
+def _is_pointer(file: Path) -> bool:
+    with file.open("rb") as opened:
+        return is_lfs_pointer(opened.read(64))
 
 
 def _is_cut(database: Path) -> bool:

@@ -1,7 +1,7 @@
 """Sequences in ROS bags: two image topics and an IMU, read as a stream."""
 
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,13 @@ from ovmot.datasets.bag.images import stored_image
 from ovmot.datasets.bag.topics import BagTopics, FoundTopics, find_topics
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.frames import paired_stamps
+from ovmot.datasets.frames import ReadingLimits, pair_stamps
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.sequence import RecordedSequence, StoredImage, StoredPair, covered_frames
 from ovmot.datasets.text_tables import StampedTable
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
-
-_TOGETHER_NS = 5_000_000  # drivers stamp the two images of one exposure apart by less
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,7 @@ class BagSequence(RecordedSequence):
 
 
 def read_bag(
-    path: Path, asked: BagTopics, calibration: Path | Calibration | None, imu_max_gap_s: float
+    path: Path, asked: BagTopics, calibration: Path | Calibration | None, limits: ReadingLimits
 ) -> BagSequence:
     """Describe the sequence in a bag; no image is decoded or kept.
 
@@ -76,23 +74,22 @@ def read_bag(
     findings = Findings()
     with Bag(path) as bag:
         topics = find_topics(path, bag.types, asked)
-        found = bag_calibration(bag, topics, calibration)
+        found = bag_calibration(bag, topics, calibration, limits.need_imu_pose)
         scan = _scan(bag, topics)
     left, right = (_distinct(scan, topic, path, findings) for topic in (topics.left, topics.right))
-    partner = _partners(sorted(left), sorted(right))
-    own_ns = {partner.get(stamp, stamp): stamp for stamp in right}
-    frame_ns = paired_stamps(left.keys(), own_ns.keys(), path, findings)
-    imu = None if topics.imu is None else _imu(path, topics.imu, scan, imu_max_gap_s, findings)
+    frame_ns, right_ns = pair_stamps(left.keys(), right.keys(), path, findings, limits)
+    imu = None
+    if topics.imu is not None:
+        imu = _imu(path, topics.imu, scan, limits.imu_max_gap_s, findings)
     if imu is None:
         text = f"{path}: no topic of type sensor_msgs/Imu; the ego motion must come from poses"
         findings.note("no_imu", 1, text)
     else:
         offset_s = found.rig.time_offset_s
-        frame_ns = frame_ns[covered_frames(frame_ns, imu, offset_s, path, findings)]
-    right_ns = [own_ns[stamp] for stamp in frame_ns.tolist()]
-    received = [
-        sorted((left[a], right[b])) for a, b in zip(frame_ns.tolist(), right_ns, strict=True)
-    ]
+        kept = covered_frames(frame_ns, imu, offset_s, path, findings)
+        frame_ns, right_ns = frame_ns[kept], right_ns[kept]
+    pairs = zip(frame_ns.tolist(), right_ns.tolist(), strict=True)
+    received = [sorted((left[a], right[b])) for a, b in pairs]
     return BagSequence(
         kind="bag",
         name=path.resolve().stem,
@@ -102,11 +99,11 @@ def read_bag(
         imu=imu,
         frame_ns=frame_ns,
         frame_number=np.arange(len(frame_ns)),
-        warnings=tuple(findings.warnings),
+        warnings=(*found.notes, *findings.warnings),
         counts=dict(findings.counts),
         bag=path,
         topics=topics,
-        right_ns=np.array(right_ns, dtype=np.int64),
+        right_ns=right_ns,
         received_ns=np.array(received, dtype=np.int64),
     )
 
@@ -137,22 +134,6 @@ def _scan(bag: Bag, topics: FoundTopics) -> _Scan:
         if read < bag.counts[topic]:
             raise bag.unreadable(f"{read} of {bag.counts[topic]} messages of {topic}")
     return scan
-
-
-def _partners(left: Sequence[int], right: Sequence[int]) -> dict[int, int]:
-    """Right stamp -> nearest left stamp (ns, both rising), where that is near and mutual."""
-    a, b = np.array(left, dtype=np.int64), np.array(right, dtype=np.int64)
-    to_left, to_right = _nearest(a, b), _nearest(b, a)
-    mutual = (to_right[to_left] == np.arange(len(b))) & (np.abs(a[to_left] - b) <= _TOGETHER_NS)
-    return dict(zip(b[mutual].tolist(), a[to_left[mutual]].tolist(), strict=True))
-
-
-def _nearest(stamps: IntArray, wanted: IntArray) -> IntArray:
-    """Index of the nearest stamp for each wanted one; both rise."""
-    after = np.clip(np.searchsorted(stamps, wanted), 0, len(stamps) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(stamps[before] - wanted) < np.abs(stamps[after] - wanted)
-    return np.where(nearer, before, after)
 
 
 def _distinct(scan: _Scan, topic: str, path: Path, findings: Findings) -> dict[int, int]:

@@ -11,6 +11,7 @@ from ovmot.datasets.asl import (
 )
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, refuse_choice
+from ovmot.datasets.frames import ReadingLimits
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.tum_vi.reader import TumViReader
@@ -33,7 +34,7 @@ class EurocReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         mav = mav_folder(root)
@@ -45,8 +46,8 @@ class EurocReader:
             kind="euroc",
             name=sequence_folder(mav).name,
             root=root,
-            listing=asl_listing(mav, findings),
-            imu=asl_imu(mav, imu_max_gap_s, findings),
+            listing=asl_listing(mav, findings, limits),
+            imu=asl_imu(mav, limits.imu_max_gap_s, findings),
             calibration=calibration or sensor_calibration(mav, findings),
             decode=read_grey,
             findings=findings,

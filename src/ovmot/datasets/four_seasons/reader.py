@@ -7,6 +7,7 @@ placed by `undistorted_calib_stereo.txt` (T_cam1_cam0), the IMU by `TS_cam_imu` 
 `Transformations.txt`, else by `T_cam_imu` of `camchain.yaml`.
 """
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ from ovmot.cameras.camera import Camera
 from ovmot.datasets.calibration import Calibration, load_calibration_yaml, make_rig
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
-    images_in,
     note_missing_images,
     numbered_images,
     pair_images,
@@ -55,7 +57,7 @@ class FourSeasonsReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
@@ -66,26 +68,32 @@ class FourSeasonsReader:
             kind="4seasons",
             name=root.resolve().name,
             root=root,
-            listing=_listing(root, findings),
-            imu=_imu(root / "imu.txt", imu_max_gap_s, findings),
+            listing=_listing(root, findings, limits),
+            imu=_imu(root / "imu.txt", limits.imu_max_gap_s, findings),
             calibration=calibration or _calibration(root, findings),
             decode=read_grey,
             findings=findings,
         )
 
 
-def _listing(root: Path, findings: Findings) -> StereoListing:
+def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     folders = root / _IMAGES / "cam0", root / _IMAGES / "cam1"
-    for folder in folders:
-        images_in(folder)  # a missing folder is the clearer error
     listed = root / "times.txt"
     if not listed.exists():
-        left, right = (numbered_images(folder) for folder in folders)
-        return pair_images(left, right, root, findings)
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings) for folder in folders
+        )
+        return pair_images(left, right, root, findings, limits)
     stamps = checked_stamps(read_stamped_list(listed), findings)
-    left, right = (present_images(stamps, folder, listed) for folder in folders)
+    left, right = (
+        camera_images(
+            partial(present_images, stamps, folder, listed, limits.pair_tolerance_ns),
+            limits, findings,
+        )
+        for folder in folders
+    )  # fmt: skip
     note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings)
+    return pair_images(left, right, root, findings, limits)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

@@ -1,13 +1,15 @@
 """KAIST Complex Urban folders: raw Bayer stereo images and an Xsens IMU."""
 
+from functools import partial
 from pathlib import Path
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
-    images_in,
     note_missing_images,
     numbered_images,
     pair_images,
@@ -47,15 +49,15 @@ class KaistReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
             raise InputError.at(root, "not a KAIST folder", f"it needs {self.needs}")
         refuse_choice(root, sequence)
         findings = Findings()
-        listing = _listing(root, findings)
-        imu = _imu(root / "sensor_data" / "xsens_imu.csv", imu_max_gap_s, findings)
+        listing = _listing(root, findings, limits)
+        imu = _imu(root / "sensor_data" / "xsens_imu.csv", limits.imu_max_gap_s, findings)
         found = calibration or read_kaist_calibration(root / "calibration")
         name = root.resolve().name
         return assemble(
@@ -70,19 +72,25 @@ class KaistReader:
         )
 
 
-def _listing(root: Path, findings: Findings) -> StereoListing:
+def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     folders = root / "image" / "stereo_left", root / "image" / "stereo_right"
     listed = root / "sensor_data" / "stereo_stamp.csv"
-    for folder in folders:
-        images_in(folder)
     if not listed.exists():
-        left, right = (numbered_images(folder) for folder in folders)
-        return pair_images(left, right, root, findings)
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings) for folder in folders
+        )
+        return pair_images(left, right, root, findings, limits)
     stamps = checked_stamps(read_stamped_names(listed), findings)
     bare = dict.fromkeys(stamps, "")
-    left, right = (present_images(bare, folder, listed) for folder in folders)
+    left, right = (
+        camera_images(
+            partial(present_images, bare, folder, listed, limits.pair_tolerance_ns),
+            limits, findings,
+        )
+        for folder in folders
+    )  # fmt: skip
     note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings)
+    return pair_images(left, right, root, findings, limits)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

@@ -1,13 +1,14 @@
 """KITTI image folders: tracking (`image_02/0010`) and odometry (`sequences/00/image_0`)."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.frames import StereoListing, numbered_images, pair_images
+from ovmot.datasets.frames import ReadingLimits, camera_images, numbered_images, pair_images
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.kitti.calibration import read_kitti_calibration
 from ovmot.datasets.sequence import FolderSequence, assemble
@@ -46,24 +47,24 @@ class KittiReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         layout = self._layout(root, sequence)
         findings = Findings()
-        left, right = (numbered_images(folder) for folder in layout.images)
-        listing = pair_images(left, right, layout.images[0].parent, findings)
-        size = image_size(listing.left_paths[0])
-        found = calibration or read_kitti_calibration(layout.calibration, layout.left, size)
-        stamped = StereoListing(
-            _stamps(layout.times, listing.frame_ns), listing.left_paths, listing.right_paths
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings)
+            for folder in layout.images
         )
+        listing = pair_images(left, right, layout.images[0].parent, findings, limits.by_number)
+        size = image_size(listing.any_path)
+        found = calibration or read_kitti_calibration(layout.calibration, layout.left, size)
         return assemble(
             kind="kitti",
             name=layout.name,
             root=root,
             calibration=found,
-            listing=stamped,
+            listing=listing.stamped(partial(_stamps, layout.times)),
             imu=None,
             decode=read_grey,
             findings=findings,
@@ -138,7 +139,8 @@ def _stamps(times: Path | None, frame_numbers: IntArray) -> IntArray:
         if len(stamps) > 1 and stamps[-1] <= stamps[-2]:
             problem = "the time does not lie after that of the row above"
             raise DatasetError.at(times, problem, "times rise from row to row", row=row)
-    if frame_numbers[-1] >= len(stamps):
-        problem = f"{len(stamps)} times, but an image of number {frame_numbers[-1]}"
+    last = int(frame_numbers.max(initial=-1))
+    if last >= len(stamps):
+        problem = f"{len(stamps)} times, but an image of number {last}"
         raise DatasetError.at(times, problem, "it needs a row for each frame")
     return np.array(stamps, dtype=np.int64)[frame_numbers]

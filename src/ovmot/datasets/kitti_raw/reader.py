@@ -8,13 +8,20 @@ orientation and velocity are truth, and not read.
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu
-from ovmot.datasets.frames import StereoListing, numbered_images, pair_images
+from ovmot.datasets.frames import (
+    ReadingLimits,
+    StereoListing,
+    camera_images,
+    numbered_images,
+    pair_images,
+)
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kitti_raw.calibration import CAMERAS_FILE, read_kitti_raw_calibration
@@ -28,6 +35,7 @@ from ovmot.types import ImuData
 _FIELDS = 30
 _ACCEL, _GYRO = 11, 17  # ax ay az, wx wy wz
 _NO_STAMP = -1
+_DENSE = 3  # samples an image: `_sync` has 1, `_extract` 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,45 +66,62 @@ class KittiRawReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the drive; raises `InputError` and its children for what is wrong."""
-        drive = self._choose(root, sequence)
+        drive = _choose(root, sequence)
         findings = Findings()
-        left, right = (numbered_images(camera / "data") for camera in drive.cameras)
-        listing = pair_images(left, right, drive.folder, findings)
-        imu = _imu(drive.folder / "oxts", imu_max_gap_s, findings)
+        left, right = (
+            camera_images(partial(numbered_images, camera / "data"), limits, findings)
+            for camera in drive.cameras
+        )
+        listing = pair_images(left, right, drive.folder, findings, limits.by_number)
+        imu = _imu(drive.folder / "oxts", limits.imu_max_gap_s, findings)
         found = calibration or _calibration(drive, listing)
-        stamps = _frame_stamps(drive.cameras[0] / "timestamps.txt", listing)
+        times = partial(_frame_stamps, drive.cameras[0] / "timestamps.txt")
         return assemble(
             kind="kitti_raw",
             name=drive.folder.resolve().name,
             root=root,
             calibration=found,
-            listing=StereoListing(stamps, listing.left_paths, listing.right_paths),
+            listing=listing.stamped(times),
             imu=imu,
             decode=read_grey,
             findings=findings,
             numbers=listing.frame_ns,
         )
 
-    def _choose(self, root: Path, sequence: str | None) -> _Drive:
-        drive = _drive(root)
-        if drive is not None:
-            if sequence is not None:
-                remedy = f"leave out '--sequence {sequence}'"
-                raise InputError.at(root, "holds one drive", remedy)
-            return drive
-        drives = _drives_below(root)
-        known = f"there are: {', '.join(drives)}" if drives else f"it needs {self.needs}"
-        if sequence is not None and sequence in drives:
-            return drives[sequence]
+
+def has_sparse_imu(root: Path, sequence: str | None) -> bool:
+    """Is the IMU of a drive recorded at the rate of its images, as in the `_sync` form?
+
+    Raises `InputError` where `sequence` names none of several drives.
+    """
+    drive = _choose(root, sequence)
+    packets, images = (drive.folder / "oxts" / "data", drive.cameras[0] / "data")
+    n_packets, n_images = (
+        sum(1 for _ in f.iterdir()) if f.is_dir() else 0 for f in (packets, images)
+    )
+    return 0 < n_packets < _DENSE * n_images
+
+
+def _choose(root: Path, sequence: str | None) -> _Drive:
+    drive = _drive(root)
+    if drive is not None:
         if sequence is not None:
-            raise InputError.at(root, f"no drive '{sequence}'", known)
-        if len(drives) != 1:
-            problem = f"{len(drives)} drives" if drives else "not a KITTI raw folder"
-            raise InputError.at(root, problem, f"choose one with --sequence; {known}")
-        return next(iter(drives.values()))
+            remedy = f"leave out '--sequence {sequence}'"
+            raise InputError.at(root, "holds one drive", remedy)
+        return drive
+    drives = _drives_below(root)
+    known = f"there are: {', '.join(drives)}" if drives else f"it needs {KittiRawReader.needs}"
+    if sequence is not None and sequence in drives:
+        return drives[sequence]
+    if sequence is not None:
+        raise InputError.at(root, f"no drive '{sequence}'", known)
+    if len(drives) != 1:
+        problem = f"{len(drives)} drives" if drives else "not a KITTI raw folder"
+        raise InputError.at(root, problem, f"choose one with --sequence; {known}")
+    return next(iter(drives.values()))
 
 
 def _drive(folder: Path) -> _Drive | None:
@@ -116,17 +141,17 @@ def _calibration(drive: _Drive, listing: StereoListing) -> Calibration:
     """From the date's folder, or the drive's own where the files were copied there."""
     folder = drive.folder.resolve()
     place = folder if (folder / CAMERAS_FILE).exists() else folder.parent
-    size = image_size(listing.left_paths[0])
+    size = image_size(listing.any_path)
     rectified = {"sync": True, "extract": False}.get(folder.name.rpartition("_")[2])
     return read_kitti_raw_calibration(place, drive.left, size, rectified)
 
 
-def _frame_stamps(path: Path, listing: StereoListing) -> IntArray:
-    """Stamps (M,) in ns of the frames that `listing` numbers."""
-    stamps = _at(_read_times(path), listing.frame_ns, path)
+def _frame_stamps(path: Path, numbers: IntArray) -> IntArray:
+    """Stamps (M,) in ns of the frames of these numbers (M,)."""
+    stamps = _at(_read_times(path), numbers, path)
     backwards = np.flatnonzero(np.diff(stamps) <= 0)
     if len(backwards):
-        row = int(listing.frame_ns[backwards[0] + 1]) + 1
+        row = int(numbers[backwards[0] + 1]) + 1
         problem = "the time does not lie after that of the frame before"
         raise DatasetError.at(path, problem, "take the frame's images out", row=row)
     return stamps

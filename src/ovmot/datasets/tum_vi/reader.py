@@ -5,13 +5,17 @@ calibration is `dso/camchain.yaml` (Kalibr, equidistant) with `dso/imu_config.ya
 of 8 or 16 bits; those of 16 are scaled to 8.
 """
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ovmot.datasets.asl import asl_imu, asl_listing
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
     note_missing_images,
     pair_images,
@@ -19,7 +23,7 @@ from ovmot.datasets.frames import (
 )
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.kalibr import read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.kalibr import read_kalibr_cameras, read_kalibr_noise
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.text_tables import read_stamped_list, read_stamped_text
 from ovmot.errors import InputError
@@ -45,7 +49,7 @@ class TumViReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         dso = _dso(root)
@@ -55,18 +59,18 @@ class TumViReader:
         findings = Findings()
         mav = dso.parent / "mav0"
         if (mav / "cam0").is_dir():
-            listing = asl_listing(mav, findings)
-            imu = asl_imu(mav, imu_max_gap_s, findings)
+            listing = asl_listing(mav, findings, limits)
+            imu = asl_imu(mav, limits.imu_max_gap_s, findings)
         else:
-            listing = _dso_listing(dso, findings)
-            imu = _dso_imu(dso / "imu.txt", imu_max_gap_s, findings)
+            listing = _dso_listing(dso, findings, limits)
+            imu = _dso_imu(dso / "imu.txt", limits.imu_max_gap_s, findings)
         return assemble(
             kind="tum_vi",
             name=dso.resolve().parent.name,
             root=root,
             listing=listing,
             imu=imu,
-            calibration=calibration or _calibration(dso, findings),
+            calibration=calibration or _calibration(dso, limits, findings),
             decode=read_grey,
             findings=findings,
         )
@@ -80,7 +84,7 @@ def _dso(root: Path) -> Path | None:
     return None
 
 
-def _dso_listing(dso: Path, findings: Findings) -> StereoListing:
+def _dso_listing(dso: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     """Pairs by `times.txt`, whose rows begin with the stamp in ns: the name of the image."""
     stamps: set[int] = set()
     images: list[dict[int, Path]] = []
@@ -89,10 +93,11 @@ def _dso_listing(dso: Path, findings: Findings) -> StereoListing:
         rows = checked_stamps(read_stamped_list(listed), findings)
         bare = dict.fromkeys(rows, "")  # what follows the stamp is no name
         stamps |= rows.keys()
-        images.append(present_images(bare, dso / camera / "images", listed))
+        read = partial(present_images, bare, dso / camera / "images", listed)
+        images.append(camera_images(read, limits, findings))
     left, right = images
     note_missing_images(stamps, left.keys() | right.keys(), dso / "cam0" / "times.txt", findings)
-    return pair_images(left, right, dso, findings)
+    return pair_images(left, right, dso, findings, limits)
 
 
 def _dso_imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
@@ -102,9 +107,9 @@ def _dso_imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None
     return checked_imu(read_stamped_text(path, _IMU_COLUMNS), 0, 3, max_gap_s, findings)
 
 
-def _calibration(dso: Path, findings: Findings) -> Calibration:
+def _calibration(dso: Path, limits: ReadingLimits, findings: Findings) -> Calibration:
     noise = dso / "imu_config.yaml"
     if not noise.exists():
         note_no_imu_noise(noise, findings)
-    rig = read_kalibr_rig(dso / _CHAIN)
-    return Calibration(rig, read_kalibr_noise(noise) if noise.exists() else None)
+    found = read_kalibr_cameras(dso / _CHAIN, limits.need_imu_pose)
+    return replace(found, imu_noise=read_kalibr_noise(noise) if noise.exists() else None)

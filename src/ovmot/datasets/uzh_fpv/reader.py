@@ -5,19 +5,24 @@ ICRA 2019. The calibration is a separate download: its Kalibr files are looked f
 sequence's folder, in folders there whose name holds `calib`, and likewise one folder up.
 """
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, refuse_choice
 from ovmot.datasets.frames import (
+    NoImagesError,
+    ReadingLimits,
     StereoListing,
+    camera_images,
     checked_stamps,
     note_missing_images,
     pair_images,
 )
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
-from ovmot.datasets.kalibr import CHAIN_FILE, IMU_FILE, read_kalibr_noise, read_kalibr_rig
+from ovmot.datasets.kalibr import CHAIN_FILE, IMU_FILE, read_kalibr_cameras, read_kalibr_noise
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.text_tables import column_count, read_timed_names, read_timed_text
 from ovmot.errors import CalibrationError, DatasetError, InputError
@@ -45,7 +50,7 @@ class UzhFpvReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         if not self.recognise(root):
@@ -56,28 +61,32 @@ class UzhFpvReader:
             kind="uzh_fpv",
             name=root.resolve().name,
             root=root,
-            listing=_listing(root, findings),
-            imu=_imu(root / "imu.txt", imu_max_gap_s, findings),
-            calibration=calibration or _calibration(root, findings),
+            listing=_listing(root, findings, limits),
+            imu=_imu(root / "imu.txt", limits.imu_max_gap_s, findings),
+            calibration=calibration or _calibration(root, limits, findings),
             decode=read_grey,
             findings=findings,
         )
 
 
-def _listing(root: Path, findings: Findings) -> StereoListing:
+def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     stamps: set[int] = set()
     images: list[dict[int, Path]] = []
     for name in _LISTS:
         rows = checked_stamps(read_timed_names(root / name), findings)
-        found = {t: root / file for t, file in rows.items() if (root / file).is_file()}
-        if not found:
-            problem = f"none of its {len(rows)} images is there"
-            raise DatasetError.at(root / name, problem, "names are relative to this folder")
         stamps |= rows.keys()
-        images.append(found)
+        images.append(camera_images(partial(_named_images, root, name, rows), limits, findings))
     left, right = images
     note_missing_images(stamps, left.keys() | right.keys(), root / _LISTS[0], findings)
-    return pair_images(left, right, root, findings)
+    return pair_images(left, right, root, findings, limits)
+
+
+def _named_images(root: Path, listed: str, rows: dict[int, str]) -> dict[int, Path]:
+    found = {t: root / file for t, file in rows.items() if (root / file).is_file()}
+    if not found:
+        problem = f"none of its {len(rows)} images is there"
+        raise NoImagesError.at(root / listed, problem, "names are relative to this folder")
+    return found
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
@@ -92,7 +101,7 @@ def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
     return checked_imu(table, 0, 3, max_gap_s, findings)
 
 
-def _calibration(root: Path, findings: Findings) -> Calibration:
+def _calibration(root: Path, limits: ReadingLimits, findings: Findings) -> Calibration:
     places = [root, *_calibration_folders(root), *_calibration_folders(root.resolve().parent)]
     chain = _first(places, _CHAINS)
     if chain is None:
@@ -102,7 +111,8 @@ def _calibration(root: Path, findings: Findings) -> Calibration:
     noise = _first([chain.parent], _NOISES)
     if noise is None:
         note_no_imu_noise(chain.parent / "imu.yaml", findings)
-    return Calibration(read_kalibr_rig(chain), None if noise is None else read_kalibr_noise(noise))
+    found = read_kalibr_cameras(chain, limits.need_imu_pose)
+    return replace(found, imu_noise=None if noise is None else read_kalibr_noise(noise))
 
 
 def _calibration_folders(folder: Path) -> list[Path]:

@@ -24,6 +24,7 @@ from ovmot.datasets.asl import (
 )
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings, note_no_imu_noise, refuse_choice
+from ovmot.datasets.frames import ReadingLimits
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.instance_masks import find_instance_images
 from ovmot.datasets.sequence import FolderSequence, assemble
@@ -49,7 +50,7 @@ class ViodeReader:
         root: Path,
         sequence: str | None,
         calibration: Calibration | None,
-        imu_max_gap_s: float,
+        limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
         mav = mav_folder(root)
@@ -63,8 +64,8 @@ class ViodeReader:
             kind="viode",
             name=folder.name,
             root=root,
-            listing=asl_listing(mav, findings),
-            imu=asl_imu(mav, imu_max_gap_s, findings),
+            listing=asl_listing(mav, findings, limits),
+            imu=asl_imu(mav, limits.imu_max_gap_s, findings),
             calibration=calibration or _calibration(mav, folder, findings),
             decode=read_grey,
             findings=findings,

@@ -1,0 +1,69 @@
+"""The calibration of any data set as files of Kalibr and OpenVINS."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.kalibr import IMU_FILE, write_chain, write_imu_chain
+from ovmot.datasets.sequence import RecordedSequence
+from ovmot.errors import InputError
+from ovmot.text_files import StrPath
+from ovmot.types import ImuData
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenCalibration:
+    """The files that were written, and what a user should know of them."""
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def write_calibration(
+    sequence: RecordedSequence, path: StrPath, replace: bool = False
+) -> WrittenCalibration:
+    """The rig of a sequence as a Kalibr chain, and beside it, where known, the IMU's noise.
+
+    `--calibration` and `ovmot.open(..., calibration=)` read both back. Raises `InputError` where a
+    file is there already and is not to be replaced, or cannot be written.
+    """
+    chain, noise = Path(path), sequence.imu_noise
+    imu = chain.with_name(IMU_FILE)
+    files = (chain,) if noise is None else (chain, imu)
+    for file in files:
+        if file.exists() and not replace:
+            raise InputError.at(file, "is there already", "give another name, or --force")
+    notes = _skew_notes(chain, sequence.rig)
+    if noise is None:
+        notes += (f"{chain}: the data does not say the IMU's noise: no {IMU_FILE} beside it",)
+        if imu.exists():
+            notes += (f"{imu}: belongs to another chain, and is read with this one",)
+    try:
+        chain.parent.mkdir(parents=True, exist_ok=True)
+        write_chain(chain, sequence.rig)
+        if noise is not None:
+            write_imu_chain(imu, noise, _rate_hz(sequence.imu))
+    except OSError as error:
+        raise InputError.at(chain, f"cannot be written: {error.strerror}") from None
+    return WrittenCalibration(files, notes)
+
+
+def _rate_hz(imu: ImuData | None) -> float:
+    """Samples a second, 0 where there are none."""
+    if imu is None or len(imu) < 2:
+        return 0.0
+    return round(1e9 / float(np.median(np.diff(imu.timestamp_ns))), 3)
+
+
+def _skew_notes(path: Path, rig: StereoRig) -> tuple[str, ...]:
+    """How far pixels lie off at the upper and the lower edge for who does not read `skew`."""
+    off_px = 0.0
+    for camera in rig.cameras:
+        _, fy, _, cy, skew = camera.intrinsics.tolist()
+        off_px = max(off_px, abs(skew) / fy * max(cy, camera.height - cy))
+    if off_px == 0.0:
+        return ()
+    text = f"up to {off_px:.2g} px at the upper and the lower edge"
+    return (f"{path}: the cameras have a skew, which other programs do not read: {text}",)
