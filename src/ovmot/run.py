@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ovmot.datasets.corrections import corrected
 from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
@@ -103,6 +104,7 @@ def run_sequence(
     and a `run.json` that says so, and is raised again. Raises `InputError` for options that do not
     fit the sequence or the folder, `OvmotError` where the run fails.
     """
+    sequence = corrected(sequence, settings.recording)
     counts = Counter(sequence.counts)
     stream = events(sequence, first=options.first, last=options.last)
     for masks in _masks(sequence, settings, options):

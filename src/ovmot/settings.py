@@ -271,10 +271,25 @@ class ObjectTrackSettings(Section):
 
 
 class RecordingSettings(Section):
-    """How folders and bags are read."""
+    """How folders and bags are read, and what is corrected in them (`ovmot doctor --fix`)."""
 
     pair_tolerance_s: float = Field(0.005, ge=0.0, le=0.1)
     """Left and right image are a pair when their stamps differ by no more than this."""
+    exchange_cameras: bool = False
+    """Take the left images as the right camera's and the right ones as the left camera's."""
+    gyro_scale: float = Field(1.0, gt=-1e4, lt=1e4)
+    """The data's angular rates are multiplied by this: pi/180 for degrees a second."""
+    accel_scale: float = Field(1.0, gt=-1e4, lt=1e4)
+    """The data's specific forces are multiplied by this: 9.80665 for g, -1 for negated ones."""
+    time_offset_s: float | None = Field(None, gt=-100.0, lt=100.0)
+    """t_imu = t_camera + this, in place of the calibration's."""
+
+    @field_validator("gyro_scale", "accel_scale")
+    @classmethod
+    def _is_a_factor(cls, value: float) -> float:
+        if value == 0.0:
+            raise ValueError("must not be 0")
+        return value
 
 
 class LiveSettings(Section):
