@@ -107,7 +107,7 @@ class CalibrationSettings(Section):
     """Which parts of the calibration are estimated online, and how far they may be off."""
 
     extrinsics: bool = False
-    """Poses of both cameras on the IMU."""
+    """Pose of the left camera on the IMU, and of the right camera on the left one."""
     intrinsics: bool = False
     """Focal lengths, centres and distortion of both lenses."""
     imu_intrinsics: bool = False
@@ -115,9 +115,15 @@ class CalibrationSettings(Section):
     g_sensitivity: bool = False
     """What acceleration does to the gyroscope."""
     rotation_sigma_rad: float = Field(0.01, gt=0.0)
-    """Standard deviation of a camera's rotation at the start."""
+    """Standard deviation of the left camera's rotation on the IMU at the start."""
     position_sigma_m: float = Field(0.01, gt=0.0)
-    """Standard deviation of a camera's position at the start."""
+    """Standard deviation of the left camera's position on the IMU at the start."""
+    stereo_rotation_sigma_rad: float = Field(1e-3, gt=0.0)
+    """Standard deviation of the right camera's rotation on the left one at the start."""
+    stereo_position_sigma_m: float = Field(2e-3, gt=0.0)
+    """Standard deviation of the right camera's position across the baseline at the start."""
+    baseline_sigma: float = Field(1e-3, gt=0.0)
+    """Standard deviation of the baseline's length at the start, as a share of it."""
     focal_sigma_px: float = Field(3.0, gt=0.0)
     """Standard deviation of focal lengths and image centres at the start."""
 

@@ -139,8 +139,8 @@ def _solve(A: FloatArray, b: FloatArray) -> StereoScale:
     weight: FloatArray = np.ones(len(b))
     x: FloatArray = np.zeros(A.shape[1])
     for _ in range(_ROUNDS):
-        x = np.linalg.lstsq(A * weight[:, None], b * weight, rcond=None)[0]
-        off = np.abs(b - A @ x)
+        x = np.asarray(np.linalg.lstsq(A * weight[:, None], b * weight, rcond=None)[0])
+        off: FloatArray = np.abs(b - A @ x)
         sigma = max(1.4826 * float(np.median(off)), 1e-9)
         weight = np.asarray(np.sqrt(np.minimum(1.0, _HUBER * sigma / np.maximum(off, 1e-12))))
     noise = float(((weight * (b - A @ x)) ** 2).sum()) / max(len(b) - A.shape[1], 1)
