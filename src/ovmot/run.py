@@ -12,6 +12,7 @@ import numpy as np
 
 from ovmot.datasets.corrections import corrected
 from ovmot.datasets.instance_masks import InstanceMasks
+from ovmot.datasets.kalibr import CHAIN_FILE, write_chain
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.presets import Preset
@@ -177,6 +178,8 @@ def run_into_folder(
         more=options.more_outputs,
     )  # fmt: skip
     try:
+        if settings.calibration.any:
+            write_chain(out / CHAIN_FILE, odometry.rig)
         with writer, closing(source.stream):
             counted = _counted(source.stream, counts, on_frame)
             _write_all(_saying(counted, odometry, on_wait), odometry, writer, counts)
