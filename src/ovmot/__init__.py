@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ovmot.cameras.models import CAMERA_MODELS
     from ovmot.cameras.rig import StereoRig
     from ovmot.datasets.bag.topics import BagTopics
-    from ovmot.datasets.calibration_export import write_calibration
+    from ovmot.datasets.calibration_export import WrittenCalibration, write_calibration
     from ovmot.datasets.openvins_config import load_run_config
     from ovmot.datasets.registry import DATASETS, PRESETS, WRITERS
     from ovmot.datasets.registry import open_recording as open
@@ -94,6 +94,7 @@ __all__ = [
     "StereoFrame",
     "StereoMatches",
     "StereoRig",
+    "WrittenCalibration",
     "describe_settings",
     "evaluate",
     "load_run_config",
@@ -115,7 +116,7 @@ _HOMES = {
     "cameras.models": "CAMERA_MODELS",
     "cameras.rig": "StereoRig",
     "datasets.bag.topics": "BagTopics",
-    "datasets.calibration_export": "write_calibration",
+    "datasets.calibration_export": "WrittenCalibration write_calibration",
     "datasets.openvins_config": "load_run_config",
     "datasets.registry": "DATASETS PRESETS WRITERS open_recording",
     "datasets.sequence": "RecordedSequence",

@@ -11,7 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from ovmot.datasets.corrections import corrected
 from ovmot.datasets.instance_masks import InstanceMasks
+from ovmot.datasets.kalibr import CHAIN_FILE, write_chain
 from ovmot.datasets.masks import (
     RIG_MASKS,
     MaskSource,
@@ -111,6 +113,7 @@ def run_sequence(
     and a `run.json` that says so, and is raised again. Raises `InputError` for options that do not
     fit the sequence or the folder, `OvmotError` where the run fails.
     """
+    sequence = corrected(sequence, settings.recording)
     counts, wanted = Counter(sequence.counts), settings.objects.enabled
     settings = settings_in_use(settings, sequence.rig)
     no_objects = [NO_OBJECTS] if wanted and not settings.objects.enabled else []
@@ -185,6 +188,8 @@ def run_into_folder(
         more=options.more_outputs,
     )  # fmt: skip
     try:
+        if settings.calibration.any:
+            write_chain(out / CHAIN_FILE, odometry.rig)
         with writer, closing(source.stream):
             counted = _counted(source.stream, counts, on_frame)
             _write_all(_saying(counted, odometry, on_wait), odometry, writer, counts)

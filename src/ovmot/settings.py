@@ -107,7 +107,7 @@ class CalibrationSettings(Section):
     """Which parts of the calibration are estimated online, and how far they may be off."""
 
     extrinsics: bool = False
-    """Poses of both cameras on the IMU."""
+    """Pose of the left camera on the IMU, and of the right camera on the left one."""
     intrinsics: bool = False
     """Focal lengths, centres and distortion of both lenses."""
     imu_intrinsics: bool = False
@@ -115,9 +115,15 @@ class CalibrationSettings(Section):
     g_sensitivity: bool = False
     """What acceleration does to the gyroscope."""
     rotation_sigma_rad: float = Field(0.01, gt=0.0)
-    """Standard deviation of a camera's rotation at the start."""
+    """Standard deviation of the left camera's rotation on the IMU at the start."""
     position_sigma_m: float = Field(0.01, gt=0.0)
-    """Standard deviation of a camera's position at the start."""
+    """Standard deviation of the left camera's position on the IMU at the start."""
+    stereo_rotation_sigma_rad: float = Field(1e-3, gt=0.0)
+    """Standard deviation of the right camera's rotation on the left one at the start."""
+    stereo_position_sigma_m: float = Field(2e-3, gt=0.0)
+    """Standard deviation of the right camera's position across the baseline at the start."""
+    baseline_sigma: float = Field(1e-3, gt=0.0)
+    """Standard deviation of the baseline's length at the start, as a share of it."""
     focal_sigma_px: float = Field(3.0, gt=0.0)
     """Standard deviation of focal lengths and image centres at the start."""
 
@@ -275,10 +281,25 @@ class ObjectTrackSettings(Section):
 
 
 class RecordingSettings(Section):
-    """How folders and bags are read."""
+    """How folders and bags are read, and what is corrected in them (`ovmot doctor --fix`)."""
 
     pair_tolerance_s: float = Field(0.005, ge=0.0, le=0.1)
     """Left and right image are a pair when their stamps differ by no more than this."""
+    exchange_cameras: bool = False
+    """Take the left images as the right camera's and the right ones as the left camera's."""
+    gyro_scale: float = Field(1.0, gt=-1e4, lt=1e4)
+    """The data's angular rates are multiplied by this: pi/180 for degrees a second."""
+    accel_scale: float = Field(1.0, gt=-1e4, lt=1e4)
+    """The data's specific forces are multiplied by this: 9.80665 for g, -1 for negated ones."""
+    time_offset_s: float | None = Field(None, gt=-100.0, lt=100.0)
+    """t_imu = t_camera + this, in place of the calibration's."""
+
+    @field_validator("gyro_scale", "accel_scale")
+    @classmethod
+    def _is_a_factor(cls, value: float) -> float:
+        if value == 0.0:
+            raise ValueError("must not be 0")
+        return value
 
 
 class LiveSettings(Section):

@@ -135,6 +135,8 @@ def test_a_wrong_calibration_is_found_and_its_errors_stay_inside_their_sigmas(
         [
             "calibration.extrinsics=true", "calibration.intrinsics=true",
             "calibration.position_sigma_m=0.012", "calibration.focal_sigma_px=5",
+            "calibration.stereo_rotation_sigma_rad=0.014", "calibration.baseline_sigma=0.15",
+            "calibration.stereo_position_sigma_m=0.017",
             "filter.time_offset_sigma_s=0.01", "filter.pixel_sigma=1",
             "filter.landmark_pixel_sigma=1", "epipolar.threshold_px=30",
             "segmentation.enabled=false",

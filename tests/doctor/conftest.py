@@ -62,9 +62,14 @@ def gyro_in_degrees(root: Path) -> None:
     change_imu(root, lambda ns, values: (ns, values * ([180.0 / np.pi] * 3 + [1.0] * 3)))
 
 
+def accel_negated(root: Path) -> None:
+    """The reaction in place of the specific force."""
+    change_imu(root, lambda ns, values: (ns, values * ([1.0] * 3 + [-1.0] * 3)))
+
+
 def clock_ahead(root: Path) -> None:
-    """An IMU clock that reads 50 ms more than the cameras'."""
-    change_imu(root, lambda ns, values: (ns + 50_000_000, values))
+    """An IMU clock that reads 300 ms more than the cameras'."""
+    change_imu(root, lambda ns, values: (ns + 300_000_000, values))
 
 
 def change_imu(
@@ -78,11 +83,29 @@ def change_imu(
 
 def turn_right_camera(root: Path) -> None:
     """The right camera's pose, wrong by 2 degrees about its x axis."""
+    _, right = poses_of(root)
+    right[:3, :3] = right[:3, :3] @ so3.exp(np.radians([2.0, 0.0, 0.0]))
+    write_right_pose(root, right)
+
+
+def lengthen_baseline(root: Path) -> None:
+    """The right camera 1.3 times as far from the left one as it is."""
+    left, right = poses_of(root)
+    right[:3, 3] = left[:3, 3] + 1.3 * (right[:3, 3] - left[:3, 3])
+    write_right_pose(root, right)
+
+
+def poses_of(root: Path) -> list[FloatArray]:
+    """T_imu_cam (4, 4) of the left and the right camera."""
+    sensors = [root / "mav0" / name / "sensor.yaml" for name in ("cam0", "cam1")]
+    data = [yaml.safe_load(path.read_text())["T_BS"]["data"] for path in sensors]
+    return [np.array(values).reshape(4, 4) for values in data]
+
+
+def write_right_pose(root: Path, T_imu_cam1: FloatArray) -> None:
     path = root / "mav0" / "cam1" / "sensor.yaml"
     sensor = yaml.safe_load(path.read_text())
-    T = np.array(sensor["T_BS"]["data"]).reshape(4, 4)
-    T[:3, :3] = T[:3, :3] @ so3.exp(np.radians([2.0, 0.0, 0.0]))
-    sensor["T_BS"]["data"] = T.ravel().tolist()
+    sensor["T_BS"]["data"] = T_imu_cam1.ravel().tolist()
     path.write_text(yaml.safe_dump(sensor))
 
 
@@ -97,6 +120,7 @@ def drop_frames(root: Path) -> None:
 FAULTS: dict[str, Callable[[Path], None]] = {
     fault.__name__: fault
     for fault in (
-        swap_sides, accel_in_g, gyro_in_degrees, clock_ahead, turn_right_camera, drop_frames,
+        swap_sides, accel_in_g, gyro_in_degrees, accel_negated, clock_ahead, turn_right_camera,
+        lengthen_baseline, drop_frames,
     )
 }  # fmt: skip

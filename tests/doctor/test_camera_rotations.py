@@ -27,5 +27,7 @@ def test_turns_are_those_of_the_camera(painted_rig: StereoRig) -> None:
     others = FrameMatches(2 * 10**8, second.feature_id + 1000, second.pixels)
     turns = camera_rotations([[first, second, others]], painted_rig)
     np.testing.assert_allclose(turns.rotation[0], rotation, atol=1e-4)
+    np.testing.assert_allclose(turns.translation[0], [0.05, 0.0, 0.8], atol=1e-3)
     assert np.isnan(turns.rotation[1]).all()
+    assert np.isnan(turns.translation[1]).all()
     assert turns.end_ns.tolist() == [10**8, 2 * 10**8]

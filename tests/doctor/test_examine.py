@@ -6,7 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import yaml
 
 from ovmot.datasets.registry import open_sequence
 from ovmot.doctor.examine import examine
@@ -31,7 +33,9 @@ def test_an_unspoiled_sequence_is_fine(walked: Path) -> None:
         ("swap_sides", "left and right", "swapped", "mav0/cam0/data and mav0/cam1/data"),
         ("accel_in_g", "accelerometer unit", "1.00", "the unit is g"),
         ("gyro_in_degrees", "gyroscope unit", "0.017", "the unit is °/s"),
-        ("clock_ahead", "time offset", "ahead", "timeshift_cam_imu to 0.05"),
+        ("accel_negated", "accelerometer sign", "opposite", "mav0/imu0/data.csv by -1"),
+        ("clock_ahead", "time offset", "ahead", "timeshift_cam_imu to 0.30"),
+        ("lengthen_baseline", "stereo scale", "1.3", "T_BS in mav0/cam1/sensor.yaml"),
         ("turn_right_camera", "extrinsics", "turned by 2°", "T_BS in mav0/cam1/sensor.yaml"),
         ("drop_frames", "dropped frames", "6 of 50", "copy the missing images"),
     ],
@@ -43,6 +47,35 @@ def test_each_fault_is_named_and_no_other(
     assert list(wrong) == [check]
     assert says in wrong[check].says
     assert remedy in wrong[check].remedy
+
+
+@pytest.mark.parametrize(
+    ("fault", "fixed"),
+    [
+        ("swap_sides", {"exchange_cameras": True}),
+        ("accel_in_g", {"accel_scale": 9.80665}),
+        ("accel_negated", {"accel_scale": -1.0}),
+        ("gyro_in_degrees", {"gyro_scale": np.pi / 180.0}),
+        ("clock_ahead", {"time_offset_s": pytest.approx(0.3, abs=1e-3)}),
+    ],
+)
+def test_what_is_fixed_is_fine(
+    spoiled: Callable[[str], Path],
+    ovmot_command: Callable[..., Any],
+    tmp_path: Path,
+    fault: str,
+    fixed: dict[str, Any],
+) -> None:
+    """The settings that the doctor writes mend the data for the doctor as for a run."""
+    root, out = spoiled(fault), tmp_path / "fixed.yaml"
+    given = ("--set", "imu.max_gap_s=0.2")
+    said = ovmot_command("doctor", root, *given, "--fix", out)
+    assert said.code == 1
+    assert yaml.safe_load(out.read_text()) == {"imu": {"max_gap_s": 0.2}, "recording": fixed}
+    said = ovmot_command("doctor", root, "--config", out, "--fix", tmp_path / "more.yaml")
+    assert said.code == 0, said.out
+    assert not (tmp_path / "more.yaml").exists()
+    assert ovmot_command("doctor", root, *given, "--fix", out).code == 2  # it is there
 
 
 def test_command(

@@ -37,6 +37,7 @@ def test_json(tmp_path: Path) -> None:
     first = json.loads(path.read_text())["findings"][0]
     assert first == {
         "check": "b", "severity": "wrong", "says": "see [left]/data", "remedy": "swap them",
+        "fix": {},
     }  # fmt: skip
     with pytest.raises(InputError, match="nowhere"):
         write_report(tmp_path / "nowhere" / "found.json", REPORT)

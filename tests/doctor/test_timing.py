@@ -11,6 +11,7 @@ from ovmot.doctor.timing import (
     lost_in_holes,
 )
 from ovmot.geometry.arrays import IntArray
+from ovmot.settings import ImuSettings
 
 PERIOD_NS = 50_000_000
 
@@ -26,7 +27,7 @@ def severities(findings: list[Finding]) -> dict[str, Severity]:
 def test_even_stamps_are_fine() -> None:
     for findings in (
         check_frame_times(stamps(200), {}),
-        check_imu_times(stamps(2000, 5_000_000), {}, 0.1),
+        check_imu_times(stamps(2000, 5_000_000), {}, ImuSettings()),
     ):
         assert set(severities(findings).values()) == {Severity.FINE}
 
@@ -50,7 +51,7 @@ def test_jitter_is_doubtful() -> None:
 
 def test_slow_sensors_are_doubtful() -> None:
     assert severities(check_frame_times(stamps(20, 10**9), {}))["frame rate"] is Severity.DOUBTFUL
-    slow = check_imu_times(stamps(200), {}, 0.1)
+    slow = check_imu_times(stamps(200), {}, ImuSettings())
     assert severities(slow)["IMU rate"] is Severity.DOUBTFUL
 
 
@@ -59,7 +60,7 @@ def test_imu_holes() -> None:
     cases = ((30, Severity.WRONG), (8, Severity.DOUBTFUL), (1, Severity.FINE))
     for width, severity in cases:
         holed = np.delete(imu, range(1000, 1000 + width))
-        assert severities(check_imu_times(holed, {}, 0.1))["IMU gaps"] is severity
+        assert severities(check_imu_times(holed, {}, ImuSettings()))["IMU gaps"] is severity
 
 
 def test_single_pair_is_no_error() -> None:

@@ -1,13 +1,13 @@
 """`ovmot calibrate`."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
 import ovmot
-from ovmot import InputError
-from ovmot.cli.console import NOTHING_WRITTEN, interruptible, printable, say
+from ovmot.cli.console import NOTHING_WRITTEN, interruptible, printable, progress, say, show
 from ovmot.cli.options import (
     CalibrationOption,
     FormatOption,
@@ -15,11 +15,18 @@ from ovmot.cli.options import (
     LeftOption,
     RightOption,
     SequenceOption,
+    SetOption,
 )
+from ovmot.run_calibration import calibration_table, run_calibration, write_run_calibration
+
+_RUN_JSON = "run.json"
 
 
 def calibrate(
-    data: Annotated[Path, typer.Argument(help="Folder of a recorded sequence, or a ROS bag.")],
+    data: Annotated[
+        Path,
+        typer.Argument(help="Folder of a recorded sequence, a ROS bag, or the folder of a run."),
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Kalibr chain to write: chain.yaml.")],
     as_is: Annotated[
         bool, typer.Option("--as-is", help="Write the calibration that the data has.")
@@ -30,16 +37,54 @@ def calibrate(
     left: LeftOption = None,
     right: RightOption = None,
     imu: ImuOption = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML of settings for the run that estimates.")
+    ] = None,
+    set_: SetOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
 ) -> None:
-    """Write a data set's calibration as a Kalibr chain, its IMU's noise as OpenVINS's file."""
-    if not as_is:
-        raise InputError("ovmot calibrate: give --as-is: it writes what the data has")
+    """Write a calibration as a Kalibr chain, the IMU's noise as OpenVINS's file beside it.
+
+    That which a run has estimated, with each value before and after; of a recorded sequence, one is
+    run for that. What the motion does not show stays as it was. With --as-is, what the data has.
+    """
+    if not as_is and (data / _RUN_JSON).is_file():
+        _write_found(data, data, out, force)
+        return
+    given = ovmot.load_run_config(config, set_ or ())
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(
-            data, format, sequence, calibration, topics=ovmot.BagTopics(left, right, imu)
+            data,
+            format,
+            sequence,
+            calibration or given.calibration,
+            given.imu_max_gap_s,
+            topics=ovmot.BagTopics(left, right, imu),
         )
-        written = ovmot.write_calibration(recorded, out, replace=force)
-    for note in (*recorded.warnings, *written.notes):
+    for warning in recorded.warnings:
+        say(f"ovmot: warning: {warning}")
+    if as_is:
+        _say_written(data, ovmot.write_calibration(recorded, out, replace=force))
+        return
+    if not given.settings.calibration.any:
+        more = [*(set_ or ()), "calibration.extrinsics=true"]
+        given = ovmot.load_run_config(config, more)
+    settings = recorded.settings(given.settings)
+    ovmot.prepare_process()
+    with TemporaryDirectory() as folder:
+        options = ovmot.RunOptions(folder, force=True)
+        with interruptible(NOTHING_WRITTEN), progress("run", len(recorded)) as advance:
+            ovmot.run_sequence(recorded, settings, options, advance)
+        _write_found(data, Path(folder), out, force)
+
+
+def _write_found(data: Path, run: Path, out: Path, force: bool) -> None:
+    found = run_calibration(run)
+    show(calibration_table(found))
+    _say_written(data, write_run_calibration(run, out, found, overwrite=force))
+
+
+def _say_written(source: Path, written: ovmot.WrittenCalibration) -> None:
+    for note in written.notes:
         say(f"ovmot: warning: {note}")
-    typer.echo(printable(f"{data} -> {', '.join(map(str, written.files))}"))
+    typer.echo(printable(f"{source} -> {', '.join(map(str, written.files))}"))

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import ovmot
-from ovmot.cli.console import EXIT_FAILED, NOTHING_WRITTEN, interruptible, progress, show
+from ovmot.cli.console import EXIT_FAILED, NOTHING_WRITTEN, interruptible, printable, progress, show
 from ovmot.cli.options import (
     CalibrationOption,
     FormatOption,
@@ -14,9 +14,11 @@ from ovmot.cli.options import (
     LeftOption,
     RightOption,
     SequenceOption,
+    SetOption,
 )
 from ovmot.doctor.examine import examine, sampled_frames
-from ovmot.doctor.report import report_table, write_report
+from ovmot.doctor.fix import fixed_settings, write_settings
+from ovmot.doctor.report import Report, report_table, write_report
 
 
 def doctor(
@@ -27,18 +29,34 @@ def doctor(
     left: LeftOption = None,
     right: RightOption = None,
     imu: ImuOption = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="YAML of settings as for a run; it overrules the format's preset."),
+    ] = None,
+    set_: SetOption = None,
+    fix: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT", help="Write what is sure as a settings file for --config of a run."
+        ),
+    ] = None,
     json: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the findings as JSON as well.")
     ] = None,
 ) -> None:
     """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if it is wrong."""
     ovmot.prepare_process()
+    given = ovmot.load_run_config(config, set_ or ())
+    chain = calibration or given.calibration
+    chain_file = chain if isinstance(chain, Path) else None
     with interruptible(NOTHING_WRITTEN):
         recorded = ovmot.open(
             data,
             format,
             sequence,
-            calibration,
+            chain,
+            given.imu_max_gap_s,
+            pair_tolerance_s=given.settings.recording.pair_tolerance_s,
             topics=ovmot.BagTopics(left, right, imu),
             need_pairs=False,
         )
@@ -46,9 +64,20 @@ def doctor(
         interruptible(NOTHING_WRITTEN),
         progress("doctor", sampled_frames(recorded)) as advance,
     ):
-        report = examine(recorded, advance, calibration)
+        report = examine(recorded, advance, chain_file, given.settings)
     show(report_table(report))
     if json is not None:
         write_report(json, report)
+    if fix is not None:
+        _write_fix(fix, report, given.settings)
     if report.is_wrong:
         raise typer.Exit(EXIT_FAILED)
+
+
+def _write_fix(path: Path, report: Report, given: ovmot.Settings) -> None:
+    sections = fixed_settings(report, given)
+    if sections is None:
+        typer.echo(printable(f"nothing that settings could mend: {path} is not written"))
+        return
+    write_settings(path, sections)
+    typer.echo(printable(f"{path}: give it to the run by --config"))

@@ -10,7 +10,7 @@ from ovmot.datasets.kalibr import IMU_FILE, write_chain, write_imu_chain
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.errors import InputError
 from ovmot.text_files import StrPath
-from ovmot.types import ImuData
+from ovmot.types import ImuData, ImuNoise
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,22 +29,37 @@ def write_calibration(
     `--calibration` and `ovmot.open(..., calibration=)` read both back. Raises `InputError` where a
     file is there already and is not to be replaced, or cannot be written.
     """
-    chain, noise = Path(path), sequence.imu_noise
+    return write_rig(path, sequence.rig, sequence.imu_noise, _rate_hz(sequence.imu), replace)
+
+
+def write_rig(
+    path: StrPath,
+    rig: StereoRig,
+    noise: ImuNoise | None,
+    rate_hz: float,
+    replace: bool = False,
+    comment: tuple[str, ...] = (),
+) -> WrittenCalibration:
+    """The same for a rig, with lines of `comment` above; `rate_hz`: of the IMU."""
+    chain = Path(path)
     imu = chain.with_name(IMU_FILE)
     files = (chain,) if noise is None else (chain, imu)
     for file in files:
         if file.exists() and not replace:
             raise InputError.at(file, "is there already", "give another name, or --force")
-    notes = _skew_notes(chain, sequence.rig)
+    notes = _skew_notes(chain, rig)
     if noise is None:
         notes += (f"{chain}: the data does not say the IMU's noise: no {IMU_FILE} beside it",)
         if imu.exists():
             notes += (f"{imu}: belongs to another chain, and is read with this one",)
     try:
         chain.parent.mkdir(parents=True, exist_ok=True)
-        write_chain(chain, sequence.rig)
+        write_chain(chain, rig)
+        if comment:
+            text = "".join(f"# {line}\n" for line in comment)
+            chain.write_text(text + chain.read_text(encoding="utf-8"), encoding="utf-8")
         if noise is not None:
-            write_imu_chain(imu, noise, _rate_hz(sequence.imu))
+            write_imu_chain(imu, noise, rate_hz)
     except OSError as error:
         raise InputError.at(chain, f"cannot be written: {error.strerror}") from None
     return WrittenCalibration(files, notes)

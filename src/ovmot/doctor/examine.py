@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.corrections import corrected
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.doctor.camera_rotations import CameraRotations, camera_rotations
 from ovmot.doctor.images import check_images, check_readable
@@ -17,11 +18,23 @@ from ovmot.doctor.locations import Locations, locations_of
 from ovmot.doctor.observe import choose_stretches, observe
 from ovmot.doctor.report import Finding, Report, Severity, make_report
 from ovmot.doctor.stereo_geometry import check_stereo
+from ovmot.doctor.stereo_scale import check_scale, fit_scale
 from ovmot.doctor.time_offset import check_gyro, fit_gyro
-from ovmot.doctor.timing import check_coverage, check_frame_times, check_imu_times
+from ovmot.doctor.timing import (
+    check_coverage,
+    check_frame_times,
+    check_imu_times,
+    median_period_s,
+)
 from ovmot.errors import InputError
-from ovmot.settings import ImuSettings
+from ovmot.settings import Settings
 from ovmot.types import ImuData
+
+_BEFORE_SCALE = (
+    "left and right", "extrinsics", "camera model", "accelerometer unit", "gyroscope unit",
+    "gyroscope range", "camera on IMU", "IMU rate",
+)  # fmt: skip
+"""Checks without which accelerometer and stereo cannot be compared."""
 
 
 def sampled_frames(sequence: RecordedSequence) -> int:
@@ -35,25 +48,30 @@ def sampled_frames(sequence: RecordedSequence) -> int:
 
 
 def examine(
-    sequence: RecordedSequence,
+    recorded: RecordedSequence,
     advance: Callable[[int], None] = lambda done: None,
     calibration: Path | None = None,
+    given: Settings | None = None,
 ) -> Report:
     """Everything that is wrong or doubtful in a sequence, in plain words.
 
     `advance` hears how many frames have been looked at; `calibration` is the file that stands in
-    place of the data's own, if one does. A sequence without pairs, since one camera's images are
-    missing, is examined so far as that goes. Raises `DatasetError` where no image can be read,
-    `InputError` for a rig of one camera.
+    place of the data's own, if one does; `given`: settings over those of the data's preset. A
+    sequence without pairs, since one camera's images are missing, is examined so far as that goes.
+    Raises `DatasetError` where no image can be read, `InputError` for a rig of one camera.
     """
-    if sequence.rig.n_cameras == 1:
+    if recorded.rig.n_cameras == 1:
         problem = "has one camera: the doctor compares two"
-        raise InputError.at(sequence.root, problem, "give the calibration and images of a pair")
+        raise InputError.at(recorded.root, problem, "give the calibration and images of a pair")
+    settings = recorded.settings(given)
+    sequence = corrected(recorded, settings.recording)
     locations = locations_of(sequence.kind, None if calibration is None else str(calibration))
     sequence = sequence.of_pairs()
     if len(sequence) == 0:
-        return make_report(sequence.name, sequence.kind, _without_pairs(sequence, locations))
-    seen = observe(sequence, choose_stretches(sequence.frame_ns, sequence.imu), advance)
+        findings = _without_pairs(sequence, settings, locations)
+        return make_report(sequence.name, sequence.kind, findings)
+    stretches = choose_stretches(sequence.frame_ns, sequence.imu)
+    seen = observe(sequence, stretches, settings, advance)
     stereo_findings, rig = check_stereo(seen.matches, sequence.rig, locations)
     findings = [
         *check_frame_times(sequence.frame_ns, sequence.counts),
@@ -66,28 +84,32 @@ def examine(
     else:
         turns = camera_rotations(seen.stretches, rig)
         findings.append(check_coverage(len(sequence), sequence.counts))
-        findings += _imu_findings(sequence.imu, turns, rig, sequence.counts, locations)
+        findings += _imu_findings(sequence.imu, turns, rig, sequence.counts, settings, locations)
+        if not any(_hides_the_scale(finding) for finding in findings):
+            findings.append(_scale(sequence.imu, turns, rig, locations))
     return make_report(sequence.name, sequence.kind, findings)
 
 
 def _no_imu(sequence: RecordedSequence, locations: Locations) -> Finding:
     """Missing, or not a part of this kind of data at all."""
     remedy = "run it with --ego poses FILE"
-    if sequence.counts.get("no_imu"):
+    if sequence.counts.get("no_imu") and len(sequence) != 1:  # one pair alone is no recording
         says = "the data should have an IMU, and has none"
         return Finding("IMU", Severity.WRONG, says, f"copy {locations.imu}, or {remedy}")
     says = "the data has no IMU, or none that is fast enough"
     return Finding("IMU", Severity.UNKNOWN, says, remedy)
 
 
-def _without_pairs(sequence: RecordedSequence, locations: Locations) -> list[Finding]:
+def _without_pairs(
+    sequence: RecordedSequence, settings: Settings, locations: Locations
+) -> list[Finding]:
     """The checks that need no stereo pair."""
     says = "one camera has no images: no check of images and calibration is possible"
     findings = [Finding("cameras", Severity.WRONG, says, f"copy {locations.images}")]
     if sequence.imu is None:
         return [*findings, _no_imu(sequence, locations)]
     imu = sequence.imu
-    findings += check_imu_times(imu.timestamp_ns, sequence.counts, ImuSettings().max_gap_s)
+    findings += check_imu_times(imu.timestamp_ns, sequence.counts, settings.imu)
     if len(imu) < 3:
         return findings
     more = check_accel_unit(imu), check_gyro_range(imu), *check_imu_saturation(imu)
@@ -99,18 +121,34 @@ def _imu_findings(
     turns: CameraRotations,
     rig: StereoRig,
     counts: Mapping[str, int],
+    settings: Settings,
     locations: Locations,
 ) -> list[Finding]:
-    times = check_imu_times(imu.timestamp_ns, counts, ImuSettings().max_gap_s)
+    times = check_imu_times(imu.timestamp_ns, counts, settings.imu)
     if len(imu) < 3:
         return times
     R_imu_cam0, offset_s = rig.T_imu_cam0[:3, :3], rig.time_offset_s
-    compared = fit_gyro(turns, imu, offset_s)
-    return [
-        *times,
+    by_gyro = check_gyro(
+        fit_gyro(turns, imu, offset_s), R_imu_cam0, offset_s, settings.filter.time_offset_sigma_s,
+        locations,
+    )  # fmt: skip
+    alone = [
         check_accel_unit(imu),
         check_gyro_range(imu),
         *check_imu_saturation(imu),
         check_gravity(imu, R_imu_cam0, locations.mount),
-        *check_gyro(compared, R_imu_cam0, offset_s, locations),
     ]
+    return [*times, *alone, *by_gyro]
+
+
+def _hides_the_scale(finding: Finding) -> bool:
+    """Whether accelerometer and stereo cannot be compared by what is found."""
+    amiss = finding.severity in (Severity.WRONG, Severity.DOUBTFUL)
+    return amiss and finding.check in _BEFORE_SCALE
+
+
+def _scale(imu: ImuData, turns: CameraRotations, rig: StereoRig, locations: Locations) -> Finding:
+    compared = fit_gyro(turns, imu, rig.time_offset_s)
+    lag_s = compared.lag_s if compared is not None and compared.is_sure else 0.0
+    found = fit_scale(turns, imu, rig, rig.time_offset_s + lag_s)
+    return check_scale(found, rig, median_period_s(imu.timestamp_ns), locations)

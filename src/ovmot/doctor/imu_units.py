@@ -27,13 +27,28 @@ def check_accel_unit(imu: ImuData) -> Finding:
     if off <= _FAR:
         remedy = "calibrate the accelerometer's scale and bias"
         return Finding(check, Severity.DOUBTFUL, says, remedy)
-    return Finding(check, Severity.WRONG, says, _accel_remedy(norm))
+    return Finding(check, Severity.WRONG, says, _accel_remedy(norm), _accel_fix(norm))
+
+
+def _is_g(norm: float) -> bool:
+    return 0.6 < norm < 1.4
+
+
+def _is_mg(norm: float) -> bool:
+    return 600.0 < norm < 1400.0
+
+
+def _accel_fix(norm: float) -> dict[str, float]:
+    """The setting that makes the unit m/s², where it is plain."""
+    if not (_is_g(norm) or _is_mg(norm)):
+        return {}
+    return {"recording.accel_scale": _STANDARD_GRAVITY * (1.0 if _is_g(norm) else 1e-3)}
 
 
 def _accel_remedy(norm: float) -> str:
-    if 0.6 < norm < 1.4:
+    if _is_g(norm):
         return f"the unit is g: multiply the IMU file's accelerations by {_STANDARD_GRAVITY}"
-    if 600.0 < norm < 1400.0:
+    if _is_mg(norm):
         return f"the unit is mg: multiply the IMU file's accelerations by {_STANDARD_GRAVITY}e-3"
     if norm < 0.6:
         return "gravity has been taken off: write the specific force as the sensor measured it"

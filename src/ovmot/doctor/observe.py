@@ -15,7 +15,7 @@ from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import no_feedback
-from ovmot.settings import EpipolarSettings, TrackerSettings
+from ovmot.settings import Settings
 from ovmot.types import ImuData, StereoFrame
 
 N_STRETCHES, STRETCH_FRAMES = 3, 30
@@ -77,8 +77,9 @@ def _turning(imu: ImuData, frame_ns: IntArray) -> float:
 
 
 def observe(
-    sequence: RecordedSequence, stretches: list[tuple[int, int]], advance: Callable[[int], None]
-) -> Observations:
+    sequence: RecordedSequence, stretches: list[tuple[int, int]], settings: Settings,
+    advance: Callable[[int], None],
+) -> Observations:  # fmt: skip
     """Follow and match features through the stretches; `advance` hears how many frames are done.
 
     Pairs that cannot be read are left out. Raises `DatasetError` where none can.
@@ -87,7 +88,7 @@ def observe(
     images: list[ImageStatistics] = []
     broken: list[DatasetError] = []
     for first, last in stretches:
-        tracker = StereoTracker(sequence.rig, TrackerSettings(), EpipolarSettings())
+        tracker = StereoTracker(sequence.rig, settings.tracker, settings.epipolar)
         stretch: list[FrameMatches] = []
         T_now_before = np.eye(4)  # as the last one
         with closing(tracker):

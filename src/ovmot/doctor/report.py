@@ -1,10 +1,11 @@
 """What the doctor found, as values, as a table, and as JSON."""
 
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 from rich.table import Column, Table
 from rich.text import Text
@@ -23,12 +24,16 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The outcome of one check: a sentence with its numbers, and what to do (empty if nothing)."""
+    """The outcome of one check: a sentence with its numbers, and what to do (empty if nothing).
+
+    `fix`: settings by `section.key` that make it good, where the check is sure of them.
+    """
 
     check: str
     severity: Severity
     says: str
     remedy: str = ""
+    fix: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ other calibrations; the one that explains the matches is named.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -25,10 +26,13 @@ _GATE_PX = EpipolarSettings().threshold_px
 _LEAST_MATCHES = 60
 _BEYOND_PX = -1.5  # disparity of a point at infinity with its noise
 _BETTER, _GOOD = 0.75, 0.6  # cost against the given calibration's, and least share explained
+_SAME = 1.02
 _POOR = 0.5
-_TURN_WRONG_DEG, _TURN_DOUBTFUL_DEG = 0.5, 0.15  # good calibrations are true to 0.1°
-_GAIN_WRONG, _GAIN_DOUBTFUL = 0.25, 0.05  # of the share explained
-_COST_GAIN, _SIGMAS = 0.03, 4.0
+_WRONG_PX, _DOUBTFUL_PX = _GATE_PX, 0.5  # misfit: a lens's own residuals are 0.1 to 0.4 px
+_GAIN_WRONG, _GAIN_DOUBTFUL = 0.15, 0.05  # of the share explained
+_COST_GAIN = 0.03
+_PRIOR_DEG = 0.1  # good calibrations agree with each other to that
+_LENS_PX, _LENS_CELLS = 0.5, 16  # residuals of a lens are one error per part of the image
 _MOST_FITTED = 2000
 _LOSS_PX = (20.0, 1.0)
 
@@ -55,13 +59,17 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class TurnedRig:
-    """A rig with other stereo extrinsics, its fit, the angle by which its right camera is turned
-    against the one given, and the standard deviation of that, rad."""
+    """A rig with other stereo extrinsics (see `moved`), its fit, and by how much they differ: (5,)
+    rad."""
 
     rig: StereoRig
     fit: Fit
-    angle: float
-    angle_std: float
+    delta: FloatArray
+
+    @property
+    def angle(self) -> float:
+        """By how much the right camera is turned against the one given, rad."""
+        return float(np.linalg.norm(self.delta[:3]))
 
 
 def fit_of(pixels: FloatArray, rig: StereoRig) -> Fit:
@@ -112,22 +120,26 @@ def check_stereo(
 ) -> tuple[list[Finding], StereoRig]:
     """Findings about the calibration from stereo matches (N, 4), tested by nothing before.
 
-    And the rig to go on with: the one given, or, where it is wrong, one that explains the matches.
+    The matches in the order of their frames. And the rig to go on with: the one given, or, where it
+    is wrong, one that explains the matches.
     """
     if len(pixels) < _LEAST_MATCHES:
         says = f"{len(pixels)} stereo matches only"
         remedy = "check that left and right show the same scene, sharp and lit"
         return [Finding("stereo matches", Severity.DOUBTFUL, says, remedy)], rig
     given = fit_of(pixels, rig)
-    turned = fitted_extrinsics(pixels, rig)
-    to_beat = min(_BETTER * given.cost_px, turned.fit.cost_px)
+    free = fitted_extrinsics(pixels, rig, np.inf)
+    to_beat = min(_BETTER * given.cost_px, free.fit.cost_px)
     mistaken = _best_alternative(pixels, rig, to_beat)
     if mistaken is not None:
         return [_named(mistaken, given, pixels, locations)], mistaken[1]
-    extrinsics = _extrinsics(given, turned, locations)
-    fine = extrinsics.severity is Severity.FINE
-    best, fit = (rig, given) if fine else (turned.rig, turned.fit)
-    return [extrinsics, _model_finding(pixels, best, fit, locations)], best
+    turned = corrected_extrinsics(pixels, rig, free)
+    severity = _severity(given, turned.fit)
+    if severity is Severity.FINE or not _holds(pixels, rig):
+        findings = [_as_given(given, locations), _model_finding(pixels, rig, given, locations)]
+        return findings, rig
+    model = _model_finding(pixels, turned.rig, turned.fit, locations)
+    return [_turned(given, turned, severity, locations), model], turned.rig
 
 
 def alternatives(rig: StereoRig) -> dict[str, StereoRig]:
@@ -162,10 +174,15 @@ def _with_model(camera: Camera, name: str) -> Camera:
 def _best_alternative(
     pixels: FloatArray, rig: StereoRig, to_beat_px: float
 ) -> tuple[str, StereoRig, Fit] | None:
-    """The mistake that explains most matches, and at less than this cost."""
+    """The mistake that explains most matches, and at less than this cost.
+
+    Of those that explain them alike, as exchanged images and an inverted pose of rectified cameras
+    do, the first one.
+    """
     tried = [(name, other, fit_of(pixels, other)) for name, other in alternatives(rig).items()]
     better = [t for t in tried if t[2].cost_px < to_beat_px and t[2].share > _GOOD]
-    return min(better, key=lambda t: t[2].cost_px, default=None)
+    least = min((t[2].cost_px for t in better), default=0.0)
+    return next((t for t in better if t[2].cost_px <= _SAME * least), None)
 
 
 def _named(
@@ -180,7 +197,8 @@ def _named(
             f" exchanged it explains {fit.share:.0%}"
         )
         remedy = f"exchange {locations.images}, or the two cameras in the calibration"
-        return Finding("left and right", Severity.WRONG, says, remedy)
+        fix = {"recording.exchange_cameras": True}
+        return Finding("left and right", Severity.WRONG, says, remedy, fix)
     if name == "direction":
         says = (
             f"the right camera's pose is written the other way round: {shares}, inverted"
@@ -198,33 +216,65 @@ def _named(
     return Finding("camera model", Severity.WRONG, says, f"change {locations.camera_model}")
 
 
-def fitted_extrinsics(pixels: FloatArray, rig: StereoRig) -> TurnedRig:
+def fitted_extrinsics(pixels: FloatArray, rig: StereoRig, prior_rad: float) -> TurnedRig:
     """The rig with the stereo extrinsics that explain matches (N, 4) best.
 
     Five unknowns (rotation, direction of the baseline; its length can not be seen), robust least
     squares of the distances to the epipolar lines, first with a wide loss, then with a narrow one.
+    `prior_rad`: standard deviation of each unknown before; residuals of the lenses count as one
+    error of `_LENS_PX` in each of `_LENS_CELLS` parts of the image, however many points are there.
     """
     chosen = pixels[:: -(-len(pixels) // _MOST_FITTED)]
     xy0, xy1 = rig.cam0.normalize(chosen[:, :2]), rig.cam1.normalize(chosen[:, 2:])
     ok = np.isfinite(xy0).all(1) & np.isfinite(xy1).all(1)
-    xy0, xy1, delta, covariance = xy0[ok], xy1[ok], np.zeros(5), np.full((5, 5), np.inf)
+    xy0, xy1, delta = xy0[ok], xy1[ok], np.zeros(5)
+    n = len(xy0)
+    by_prior = _LENS_PX * np.sqrt(n / _LENS_CELLS) / prior_rad
 
-    def distances(d: FloatArray) -> FloatArray:
-        return line_distances(xy0, xy1, moved(rig, d))
+    def residuals(d: FloatArray) -> FloatArray:
+        return np.concatenate([line_distances(xy0, xy1, moved(rig, d)), by_prior * d])
 
-    for scale_px in _LOSS_PX if ok.sum() >= _LEAST_MATCHES else ():
-        solved = least_squares(distances, delta, loss="cauchy", f_scale=scale_px, x_scale=0.01)
-        delta = solved.x
-        variance = float(np.median(np.abs(solved.fun)) * 1.4826) ** 2
-        J = np.asarray(solved.jac, dtype=np.float64)
-        covariance = variance * np.linalg.pinv(J.T @ J)
+    def loss(squares: FloatArray) -> FloatArray:
+        """Cauchy's for the distances, none for the prior."""
+        out = np.array([np.log1p(squares), 1.0 / (1.0 + squares), -1.0 / (1.0 + squares) ** 2])
+        out[:, n:] = squares[n:], np.ones(5), np.zeros(5)
+        return out
+
+    rho: Any = loss  # SciPy's stubs want an argument that SciPy does not give
+    for scale_px in _LOSS_PX if n >= _LEAST_MATCHES else ():
+        delta = least_squares(residuals, delta, loss=rho, f_scale=scale_px, x_scale=0.01).x
     turned = moved(rig, delta)
-    return TurnedRig(
-        turned,
-        fit_of(pixels, turned),
-        float(np.linalg.norm(delta[:3])),
-        float(np.sqrt(np.trace(covariance[:3, :3]))),
-    )
+    return TurnedRig(turned, fit_of(pixels, turned), delta)
+
+
+def corrected_extrinsics(pixels: FloatArray, rig: StereoRig, free: TurnedRig) -> TurnedRig:
+    """The correction to believe: what matches (N, 4) do not show stays as given.
+
+    How far the cameras look inwards and how far one stands before the other hardly change the
+    distances to the lines, but all depths: they are held by a prior, unless the `free` fit takes
+    off a misfit that matters beside that.
+    """
+    held = fitted_extrinsics(pixels, rig, np.radians(_PRIOR_DEG))
+    return free if misfit_px(held.fit, free.fit) > _DOUBTFUL_PX else held
+
+
+def misfit_px(fit: Fit, better: Fit) -> float:
+    """By how much (rms) the distances change from one fit to another, of what either explains."""
+    shown = fit.explained | better.explained
+    change = (fit.distance_px - better.distance_px)[shown]
+    return float(np.sqrt(np.nanmean(change**2))) if np.isfinite(change).any() else 0.0
+
+
+def _holds(pixels: FloatArray, rig: StereoRig) -> bool:
+    """Does what one half of the frames says serve the other half, both ways?"""
+    middle = len(pixels) // 2
+    halves = pixels[:middle], pixels[middle:]
+    for seen, other in (halves, halves[::-1]):
+        free = fitted_extrinsics(seen, rig, np.inf)
+        turned = corrected_extrinsics(seen, rig, free).rig
+        if fit_of(other, turned).cost_px > (1.0 - _COST_GAIN) * fit_of(other, rig).cost_px:
+            return False
+    return True
 
 
 def moved(rig: StereoRig, delta: FloatArray) -> StereoRig:
@@ -236,28 +286,46 @@ def moved(rig: StereoRig, delta: FloatArray) -> StereoRig:
     return replace(rig, T_imu_cam1=rig.T_imu_cam0 @ se3.inverse(T_cam1_cam0))
 
 
-def _extrinsics(given: Fit, turned: TurnedRig, locations: Locations) -> Finding:
+def _severity(given: Fit, better: Fit) -> Severity:
+    """By what a correction changes: the distances to the lines, the matches explained, depths."""
+    misfit, gain = misfit_px(given, better), better.share - given.share
+    far_off = misfit > _DOUBTFUL_PX and abs(_nearer_px(given, better)) > _WRONG_PX
+    if misfit > _WRONG_PX or gain > _GAIN_WRONG or far_off:
+        return Severity.WRONG
+    doubtful = misfit > _DOUBTFUL_PX or gain > _GAIN_DOUBTFUL
+    return Severity.DOUBTFUL if doubtful else Severity.FINE
+
+
+def _nearer_px(given: Fit, better: Fit) -> float:
+    """By how much a correction changes disparities, in the middle of the matches."""
+    return float(np.nanmedian(better.disparity_px - given.disparity_px))
+
+
+def _explains(given: Fit) -> str:
     typical = float(np.nanmedian(np.abs(given.distance_px)))
-    angle = float(np.degrees(turned.angle))
-    says = (
+    return (
         f"the calibration explains {given.share:.0%} of {len(given.explained)} stereo matches"
         f" (typical distance to the epipolar line {typical:.2g} px)"
     )
-    better = f"{says}, and {turned.fit.share:.0%} with the right camera turned by {angle:.2g}°"
-    remedy = f"calibrate the two cameras again, or correct {locations.extrinsics}"
-    gain = turned.fit.share - given.share
-    sure = (
-        turned.fit.cost_px < (1.0 - _COST_GAIN) * given.cost_px
-        and turned.angle > _SIGMAS * turned.angle_std
+
+
+def _as_given(given: Fit, locations: Locations) -> Finding:
+    """That no other extrinsics are better, where the images are the same scene at all."""
+    if given.share >= _POOR:
+        return Finding("extrinsics", Severity.FINE, _explains(given))
+    remedy = f"check {locations.images} (same instant, sharp, lit), then {locations.extrinsics}"
+    return Finding("extrinsics", Severity.DOUBTFUL, _explains(given), remedy)
+
+
+def _turned(given: Fit, turned: TurnedRig, severity: Severity, locations: Locations) -> Finding:
+    says = (
+        f"{_explains(given)}, and {turned.fit.share:.0%} with the right camera turned by"
+        f" {np.degrees(turned.angle):.2g}°, which moves the lines by"
+        f" {misfit_px(given, turned.fit):.2g} px and disparities by"
+        f" {_nearer_px(given, turned.fit):+.2g} px"
     )
-    if sure and (angle > _TURN_WRONG_DEG or gain > _GAIN_WRONG):
-        return Finding("extrinsics", Severity.WRONG, better, remedy)
-    if sure and (angle > _TURN_DOUBTFUL_DEG or gain > _GAIN_DOUBTFUL):
-        return Finding("extrinsics", Severity.DOUBTFUL, better, remedy)
-    if given.share < _POOR:
-        remedy = f"check {locations.images} (same instant, sharp, lit), then {locations.extrinsics}"
-        return Finding("extrinsics", Severity.DOUBTFUL, says, remedy)
-    return Finding("extrinsics", Severity.FINE, says)
+    remedy = f"calibrate the two cameras again, or correct {locations.extrinsics}"
+    return Finding("extrinsics", severity, says, remedy)
 
 
 def _model_finding(pixels: FloatArray, rig: StereoRig, fit: Fit, locations: Locations) -> Finding:

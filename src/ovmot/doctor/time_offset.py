@@ -14,10 +14,9 @@ from ovmot.doctor.camera_rotations import CameraRotations
 from ovmot.doctor.locations import Locations
 from ovmot.doctor.report import Finding, Severity
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.settings import FilterSettings
 from ovmot.types import ImuData
 
-SEARCH_S, STEP_S = 0.3, 0.005
+SEARCH_S, STEP_S = 0.4, 0.005
 _LEAST_PAIRS = 15
 _LEAST_RATE_RPS = 0.01
 _NOISE_RPS = 0.02  # what far points and passing bodies can make of a rig that stands
@@ -25,6 +24,7 @@ _LEAST_AGREEMENT = 0.5  # share of the camera's turning that the gyroscope expla
 _SURE_S = 0.005  # a lag whose standard deviation is greater is not reported
 _SURE_RAD = 0.015  # an axis of turning that is seen less surely is not used
 _SIGMAS = 4.0
+_FOUND_S = 0.15  # a start in motion finds an offset up to this
 _OFF_DEG = (4.0, 15.0)
 _SCALE_OFF = (0.1, 0.3)
 _DEGREE = 180.0 / np.pi
@@ -43,6 +43,11 @@ class GyroFit:
     rate_rps: float
     axes: FloatArray
     images_of_axes: FloatArray
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the lag is known well enough to be used."""
+        return self.agreement >= _LEAST_AGREEMENT and self.lag_std_s <= _SURE_S
 
 
 def fit_gyro(turns: CameraRotations, imu: ImuData, offset_s: float) -> GyroFit | None:
@@ -123,9 +128,13 @@ def _lowest(lags: FloatArray, left: FloatArray) -> float:
 
 
 def check_gyro(
-    found: GyroFit | None, R_imu_cam0: FloatArray, offset_s: float, locations: Locations
-) -> list[Finding]:
-    """Time offset, unit and axes of the gyroscope; `offset_s` and `R_imu_cam0` as calibrated."""
+    found: GyroFit | None, R_imu_cam0: FloatArray, offset_s: float, sigma_s: float,
+    locations: Locations,
+) -> list[Finding]:  # fmt: skip
+    """Time offset, unit and axes of the gyroscope; `offset_s` and `R_imu_cam0` as calibrated.
+
+    `sigma_s`: the setting `filter.time_offset_sigma_s`.
+    """
     checks = "time offset", "gyroscope unit", "camera on IMU"
     if found is None:
         says = "too few frames whose rotation the images tell"
@@ -142,14 +151,13 @@ def check_gyro(
         remedy = f"check the columns and the stamps of {locations.imu}"
         return [Finding("gyroscope and images", Severity.DOUBTFUL, says, remedy)]
     return [
-        _time_offset(found, offset_s),
+        _time_offset(found, offset_s, sigma_s),
         _gyro_unit(found, locations),
         _mount(found, R_imu_cam0, locations),
     ]
 
 
-def _time_offset(found: GyroFit, offset_s: float) -> Finding:
-    sigma_s = FilterSettings().time_offset_sigma_s
+def _time_offset(found: GyroFit, offset_s: float, sigma_s: float) -> Finding:
     lag, std = found.lag_s, found.lag_std_s
     if std > _SURE_S:
         says = f"the rig turns too evenly (the guess is sure to {1e3 * std:.0f} ms)"
@@ -160,33 +168,37 @@ def _time_offset(found: GyroFit, offset_s: float) -> Finding:
     )
     if abs(lag) <= max(sigma_s, _SIGMAS * std):
         return Finding("time offset", Severity.FINE, says)
-    severity = Severity.WRONG if abs(lag) > max(3.0 * sigma_s, _SIGMAS * std) else Severity.DOUBTFUL
-    edge = " or more" if abs(lag) > SEARCH_S - STEP_S else ""
+    severity = Severity.WRONG if abs(lag) > max(_FOUND_S, _SIGMAS * std) else Severity.DOUBTFUL
+    beyond = abs(lag) > SEARCH_S - STEP_S
+    offset = f"{offset_s + lag:.4f}"
     remedy = (
-        f"set timeshift_cam_imu to {offset_s + lag:.4f}{edge} in a Kalibr chain file"
-        " (--calibration), or add it to the images' stamps"
+        f"set timeshift_cam_imu to {offset}{' or more' if beyond else ''} in a Kalibr chain file"
+        f" (--calibration), or recording.time_offset_s in the settings"
     )
-    return Finding("time offset", severity, says, remedy)
+    fix = {} if beyond else {"recording.time_offset_s": float(offset)}
+    return Finding("time offset", severity, says, remedy, fix)
 
 
 def _gyro_unit(found: GyroFit, locations: Locations) -> Finding:
     scale = float(np.linalg.norm(found.images_of_axes[0]))
     says = f"the images turn {scale:.3g} times as much as the gyroscope says"
-    check, off = "gyroscope unit", abs(scale - 1.0)
+    check, off, fix = "gyroscope unit", abs(scale - 1.0), {}
     if off <= _SCALE_OFF[0]:
         return Finding(check, Severity.FINE, says)
     if abs(scale * _DEGREE - 1.0) <= _SCALE_OFF[1]:
         remedy = f"the unit is °/s: multiply the rates in {locations.imu} by π/180"
+        fix = {"recording.gyro_scale": 1.0 / _DEGREE}
     elif abs(scale / _DEGREE - 1.0) <= _SCALE_OFF[1]:
         remedy = (
             f"the rates were divided once too often: multiply those in {locations.imu} by 180/π"
         )
+        fix = {"recording.gyro_scale": _DEGREE}
     elif off <= _SCALE_OFF[1]:
         remedy = "check the focal lengths, or the gyroscope's scale"
         return Finding(check, Severity.DOUBTFUL, says, remedy)
     else:
         remedy = f"convert the rates in {locations.imu} to rad/s, or check the focal lengths"
-    return Finding(check, Severity.WRONG, says, remedy)
+    return Finding(check, Severity.WRONG, says, remedy, fix)
 
 
 def _mount(found: GyroFit, R_imu_cam0: FloatArray, locations: Locations) -> Finding:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ovmot.doctor.report import Finding, Severity
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import ImuSettings
 
 _HOLE = 1.5  # an interval of more than so many periods lacks a sample
 _MANY = 0.03  # share of missing frames
@@ -36,18 +37,33 @@ def check_frame_times(frame_ns: IntArray, counts: Mapping[str, int]) -> list[Fin
     ]
 
 
-def check_imu_times(imu_ns: IntArray, counts: Mapping[str, int], max_gap_s: float) -> list[Finding]:
-    """Rate, jitter and holes of IMU samples at `imu_ns` (N,); `max_gap_s` as `imu.max_gap_s`."""
+def check_imu_times(
+    imu_ns: IntArray, counts: Mapping[str, int], settings: ImuSettings
+) -> list[Finding]:
+    """Rate, jitter and holes of IMU samples at `imu_ns` (N,).
+
+    A rate that `imu.max_gap_s` allows, where a preset or the user has given it, is expected.
+    """
     if len(imu_ns) < 3:
         says = f"{len(imu_ns)} IMU samples only"
         return [Finding("IMU rate", Severity.WRONG, says, "give the whole IMU file")]
     steps_s = 1e-9 * np.diff(imu_ns)
     period_s = float(np.median(steps_s))
     return [
-        _rate("IMU rate", "samples", len(imu_ns), period_s, _IMU_HZ),
+        _rate("IMU rate", "samples", len(imu_ns), period_s, _least_imu_hz(settings)),
         _jitter("IMU jitter", steps_s, period_s),
-        _imu_holes(steps_s, period_s, counts.get("imu_duplicates", 0), max_gap_s),
+        _imu_holes(steps_s, period_s, counts.get("imu_duplicates", 0), settings.max_gap_s),
     ]
+
+
+def median_period_s(timestamp_ns: IntArray) -> float:
+    """The median interval of stamps (N,), s."""
+    return float(np.median(1e-9 * np.diff(timestamp_ns)))
+
+
+def _least_imu_hz(settings: ImuSettings) -> float:
+    given = "max_gap_s" in settings.model_fields_set
+    return min(_IMU_HZ, 1.0 / settings.max_gap_s) if given else _IMU_HZ
 
 
 def check_coverage(n_frames: int, counts: Mapping[str, int]) -> Finding:

@@ -10,6 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.datasets.kalibr import CHAIN_FILE
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.kitti_tracks import KittiTracks
 from ovmot.outputs.run_json import PARTIAL_RUN_JSON, RUN_JSON
@@ -81,6 +82,7 @@ _RUN_FILES = (
     RUN_JSON,
     PARTIAL_RUN_JSON,
     "report.html",
+    CHAIN_FILE,
     *EVALUATION_FILES,
 )
 

@@ -22,7 +22,7 @@ from ovmot.types import (
 from ovmot.vio.imu_buffer import ImuBuffer
 from ovmot.vio.integrators import INTEGRATORS
 from ovmot.vio.landmarks import no_landmarks
-from ovmot.vio.online_calibration import calibrated_rig, make_calibration
+from ovmot.vio.online_calibration import calibrated_rig, calibration_estimate, make_calibration
 from ovmot.vio.propagation import Propagation, clone_pose, predicted_poses, propagate, propagate_imu
 from ovmot.vio.slam_features import change_anchor
 from ovmot.vio.state import (
@@ -247,10 +247,8 @@ class MsckfFilter:
         calibration = self.state.calibration
         if not len(calibration):
             return None
-        variance = np.diag(self.state.covariance)[self.state.calibration_columns]
-        return CalibrationEstimate(
-            calibration.names(), calibration.deviation, np.sqrt(np.maximum(variance, 0.0))
-        )
+        own = self.state.calibration_columns
+        return calibration_estimate(self.rig, calibration, self.state.covariance[own, own])
 
 
 def with_online_calibration(state: State, rig: StereoRig, settings: Settings) -> State:

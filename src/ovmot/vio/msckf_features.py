@@ -19,7 +19,8 @@ from ovmot.vio.innovation_consistency import VELOCITY_BOUND
 from ovmot.vio.msckf_kernel import update_by_features_compiled
 from ovmot.vio.online_calibration import (
     CAMERA_INTRINSICS,
-    CAMERA_POSES,
+    MOUNT,
+    STEREO,
     OnlineCalibration,
     camera_pose_jacobian,
     intrinsics_jacobian,
@@ -178,12 +179,21 @@ def calibration_jacobian(
     out = np.zeros((*J.shape[:-1], len(calibration)))
     if not len(calibration):
         return out
-    T_cam_imu = se3.inverse((rig.T_imu_cam0, rig.T_imu_cam1)[side])
-    p_cam = se3.apply(T_cam_imu, p_imu)
-    columns = calibration.columns(CAMERA_POSES[side])
+    T_cam0_imu, T_cam1_cam0 = se3.inverse(rig.T_imu_cam0), rig.T_cam1_cam0
+    p_cam = p_cam0 = se3.apply(T_cam0_imu, p_imu)
+    J_cam0 = J
+    if side == 1:
+        R = T_cam1_cam0[:3, :3]
+        p_cam, J_cam0 = se3.apply(T_cam1_cam0, p_cam0), J @ R
+        columns = calibration.columns(STEREO)
+        if columns is not None:
+            out[..., columns] = J @ camera_pose_jacobian(
+                calibration, STEREO, p_cam, R @ calibration.baseline_axes
+            )
+    columns = calibration.columns(MOUNT)
     if columns is not None:
-        out[..., columns] = J @ camera_pose_jacobian(
-            calibration, CAMERA_POSES[side], p_cam, T_cam_imu[:3, :3]
+        out[..., columns] = J_cam0 @ camera_pose_jacobian(
+            calibration, MOUNT, p_cam0, T_cam0_imu[:3, :3]
         )
     columns = calibration.columns(CAMERA_INTRINSICS[side])
     if columns is not None:

@@ -2,6 +2,8 @@
 
 Each part that is switched on has its coordinates in the error state, after the time offset; all
 are additive. An extrinsic rotation is R_file exp(φ): its deviation by δ turns it by J_r(φ) δ.
+The extrinsics are the mount, the left camera on the IMU, and the stereo pose, the right camera on
+the left one: the one is glued by users, the other by who built the rig, and scale hangs on it.
 The IMU's model is that of D. Tedaldi et al. (ICRA 2014) with the gyroscope's sensitivity to
 acceleration: a = A (a_m - b_a), ω = W (ω_m - S a - b_g), with measured a_m and ω_m.
 """
@@ -15,14 +17,17 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.settings import CalibrationSettings
+from ovmot.types import CalibrationEstimate
 
-CAMERA_POSES = ("cam0_pose", "cam1_pose")
+MOUNT, STEREO = "cam0_pose", "stereo"
 CAMERA_INTRINSICS = ("cam0_lens", "cam1_lens")
 GYRO_MATRIX, ACCEL_MATRIX, G_SENSITIVITY = "gyro_matrix", "accel_matrix", "g_sensitivity"
 _UPPER = np.triu_indices(3)
 _FOCAL_AND_CENTER = 4
+_LEAST_ACROSS = 1e-3
 _COORDINATES = {
     "pose": ("rx", "ry", "rz", "x", "y", "z"),
+    STEREO: ("rx", "ry", "rz", "length", "down", "forward"),
     "lens": ("fx", "fy", "cx", "cy", *(f"d{k}" for k in range(8))),
     GYRO_MATRIX: tuple(f"{i}{j}" for i in range(3) for j in range(3)),
     ACCEL_MATRIX: tuple(f"{i}{j}" for i, j in zip(*_UPPER, strict=True)),
@@ -53,11 +58,13 @@ class OnlineCalibration:
     """The parts being estimated, and their deviations (C,) from those of the files.
 
     Units: rad and m (poses), px (focal lengths and centers), 1 (distortion, IMU matrices),
-    rad/s per m/s² (g-sensitivity).
+    rad/s per m/s² (g-sensitivity). `baseline_axes` (3, 3): columns are the directions of the stereo
+    position's coordinates in the left camera: along the baseline, across it, and forward.
     """
 
     parts: tuple[CalibrationPart, ...] = ()
     deviation: FloatArray = field(default_factory=lambda: np.empty(0))
+    baseline_axes: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def __len__(self) -> int:
         return len(self.deviation)
@@ -101,7 +108,7 @@ def make_calibration(
     sigmas: list[tuple[str, FloatArray]] = []
     if settings.extrinsics:
         pose = np.repeat([settings.rotation_sigma_rad, settings.position_sigma_m], 3)
-        sigmas += [(name, pose) for name in CAMERA_POSES]
+        sigmas += [(MOUNT, pose), (STEREO, _stereo_sigmas(rig, settings))]
     if settings.intrinsics:
         for name, camera in zip(CAMERA_INTRINSICS, rig.cameras, strict=True):
             pixels = [settings.focal_sigma_px] * _FOCAL_AND_CENTER
@@ -117,24 +124,96 @@ def make_calibration(
         parts.append(CalibrationPart(name, slice(start, start + len(sigma))))
         start += len(sigma)
     variance = np.concatenate([np.empty(0), *(sigma**2 for _, sigma in sigmas)])
-    return OnlineCalibration(tuple(parts), np.zeros(start)), variance
+    return OnlineCalibration(tuple(parts), np.zeros(start), _baseline_axes(rig)), variance
+
+
+def _stereo_sigmas(rig: StereoRig, settings: CalibrationSettings) -> FloatArray:
+    length = settings.baseline_sigma * rig.baseline
+    turn, across = settings.stereo_rotation_sigma_rad, settings.stereo_position_sigma_m
+    return np.array([turn, turn, turn, length, across, across])
+
+
+def _baseline_axes(rig: StereoRig) -> FloatArray:
+    """Along the baseline, square to it and to the optical axis, and square to both, in `cam0`."""
+    along = se3.inverse(rig.T_cam1_cam0)[:3, 3] / rig.baseline
+    down = np.cross([0.0, 0.0, 1.0], along)
+    if np.linalg.norm(down) < _LEAST_ACROSS:  # one camera before the other
+        down = np.cross([1.0, 0.0, 0.0], along)
+    down = down / np.linalg.norm(down)
+    return np.stack([along, down, np.cross(along, down)], axis=1)
 
 
 def calibrated_rig(rig: StereoRig, calibration: OnlineCalibration) -> StereoRig:
     """The rig of the files with the deviations applied."""
     if not calibration.parts:
         return rig
-    poses = [
-        _calibrated_pose(T, calibration.deviation_of(name, 6))
-        for T, name in zip((rig.T_imu_cam0, rig.T_imu_cam1), CAMERA_POSES, strict=True)
-    ]
+    T_imu_cam0, T_imu_cam1 = rig.T_imu_cam0, rig.T_imu_cam1
+    if calibration.columns(MOUNT) is not None:
+        T_imu_cam0 = _calibrated_pose(T_imu_cam0, calibration.deviation_of(MOUNT, 6), np.eye(3))
+        T_cam0_cam1 = _calibrated_pose(
+            se3.inverse(rig.T_cam1_cam0), calibration.deviation_of(STEREO, 6),
+            calibration.baseline_axes,
+        )  # fmt: skip
+        T_imu_cam1 = T_imu_cam0 @ T_cam0_cam1
     cameras = [
         _calibrated_camera(
             camera, calibration.deviation_of(name, _FOCAL_AND_CENTER + len(camera.distortion))
         )
         for camera, name in zip(rig.cameras, CAMERA_INTRINSICS, strict=True)
     ]
-    return replace(rig, cam0=cameras[0], cam1=cameras[1], T_imu_cam0=poses[0], T_imu_cam1=poses[1])
+    return replace(
+        rig, cam0=cameras[0], cam1=cameras[1], T_imu_cam0=T_imu_cam0, T_imu_cam1=T_imu_cam1
+    )
+
+
+def right_pose(
+    rig: StereoRig, calibration: OnlineCalibration, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Deviation of the right camera's pose on the IMU from `rig`, and its 1-sigma, (6,) each.
+
+    `covariance` (C, C): that of the calibration; mount and stereo pose are estimated.
+    """
+    T = calibrated_rig(rig, calibration).T_imu_cam1
+    turn = so3.log(rig.T_imu_cam1[:3, :3].T @ T[:3, :3])
+    deviation = np.concatenate([turn, T[:3, 3] - rig.T_imu_cam1[:3, 3]])
+    mount, stereo = calibration.columns(MOUNT), calibration.columns(STEREO)
+    if mount is None or stereo is None:
+        return deviation, np.zeros(6)
+    T_imu_cam0 = calibrated_rig(rig, calibration).T_imu_cam0
+    R_cam1_cam0 = T[:3, :3].T @ T_imu_cam0[:3, :3]
+    arm = T_imu_cam0[:3, :3].T @ (T[:3, 3] - T_imu_cam0[:3, 3])
+    by_mount = so3.right_jacobian(calibration.deviation_of(MOUNT, 6)[:3])
+    J = np.zeros((6, len(calibration)))
+    unturned = np.linalg.inv(so3.right_jacobian(turn))
+    J[:3, mount.start : mount.start + 3] = unturned @ R_cam1_cam0 @ by_mount
+    J[:3, stereo.start : stereo.start + 3] = unturned @ so3.right_jacobian(
+        calibration.deviation_of(STEREO, 6)[:3]
+    )
+    J[3:, mount.start : mount.start + 3] = -T_imu_cam0[:3, :3] @ so3.hat(arm) @ by_mount
+    J[3:, mount.start + 3 : mount.stop] = np.eye(3)
+    J[3:, stereo.start + 3 : stereo.stop] = T_imu_cam0[:3, :3] @ calibration.baseline_axes
+    variance = np.einsum("ij,jk,ik->i", J, covariance, J)
+    return deviation, np.sqrt(np.maximum(variance, 0.0))
+
+
+def calibration_estimate(
+    rig: StereoRig, calibration: OnlineCalibration, covariance: FloatArray
+) -> CalibrationEstimate:
+    """All coordinates with their sigmas, and the right camera's pose on the IMU after the left's.
+
+    `covariance` (C, C): that of the calibration; the deviations are those from `rig`.
+    """
+    names, value = list(calibration.names()), calibration.deviation
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    mount, stereo = calibration.columns(MOUNT), calibration.columns(STEREO)
+    if mount is not None and stereo is not None:
+        right, right_sigma = right_pose(rig, calibration, covariance)
+        order = [*range(mount.stop), *range(stereo.stop, len(value)), *range(len(value))[stereo]]
+        at, names = mount.stop, [names[i] for i in order]
+        names[at:at] = [f"cam1_pose_{label}" for label in _COORDINATES["pose"]]
+        value = np.concatenate([value[order[:at]], right, value[order[at:]]])
+        sigma = np.concatenate([sigma[order[:at]], right_sigma, sigma[order[at:]]])
+    return CalibrationEstimate(tuple(names), value, sigma)
 
 
 def imu_intrinsics(calibration: OnlineCalibration) -> ImuIntrinsics | None:
@@ -198,12 +277,16 @@ def imu_sensitivity(
 
 
 def camera_pose_jacobian(
-    calibration: OnlineCalibration, name: str, p_cam: FloatArray, R_cam_imu: FloatArray
+    calibration: OnlineCalibration, name: str, p_cam: FloatArray, by_position: FloatArray
 ) -> FloatArray:
-    """∂p_cam/∂(deviation of the camera's pose) (..., 3, 6) of points p_cam (..., 3), metres."""
+    """∂p_cam/∂(deviation of a pose) (..., 3, 6) of points p_cam (..., 3), m, in the posed camera.
+
+    `by_position` (3, 3): the camera's rotation against what it is posed on, times the directions
+    of the position's coordinates there.
+    """
     J = np.empty((*p_cam.shape, 6))
     J[..., :3] = so3.hat(p_cam) @ so3.right_jacobian(calibration.deviation_of(name, 6)[:3])
-    J[..., 3:] = -R_cam_imu
+    J[..., 3:] = -by_position
     return J
 
 
@@ -223,8 +306,9 @@ def intrinsics_jacobian(camera: Camera, p_cam: FloatArray) -> FloatArray:
     return J
 
 
-def _calibrated_pose(T: FloatArray, deviation: FloatArray) -> FloatArray:
-    return se3.make(T[:3, :3] @ so3.exp(deviation[:3]), T[:3, 3] + deviation[3:])
+def _calibrated_pose(T: FloatArray, deviation: FloatArray, axes: FloatArray) -> FloatArray:
+    """The pose, moved along the columns of `axes` (3, 3)."""
+    return se3.make(T[:3, :3] @ so3.exp(deviation[:3]), T[:3, 3] + axes @ deviation[3:])
 
 
 def _calibrated_camera(camera: Camera, deviation: FloatArray) -> Camera:

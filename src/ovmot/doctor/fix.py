@@ -1,0 +1,47 @@
+"""The settings that make good what the doctor is sure of."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ovmot.doctor.report import Report
+from ovmot.errors import InputError
+from ovmot.settings import Settings
+
+_SCALES = ("recording.gyro_scale", "recording.accel_scale")
+_EXCHANGE = "recording.exchange_cameras"
+
+
+def fixed_settings(report: Report, given: Settings) -> dict[str, dict[str, Any]] | None:
+    """Sections and keys of the settings `given`, with what mends the findings; None if nothing
+    does.
+
+    A scale that is given is multiplied, cameras that are exchanged already are exchanged back.
+    """
+    fix = {key: value for f in report.findings for key, value in f.fix.items()}
+    if not fix:
+        return None
+    for key in _SCALES:
+        if key in fix:
+            fix[key] *= getattr(given.recording, key.partition(".")[2])
+    if _EXCHANGE in fix:
+        fix[_EXCHANGE] = not given.recording.exchange_cameras
+    sections: dict[str, dict[str, Any]] = given.model_dump(mode="json", exclude_unset=True)
+    for key, value in fix.items():
+        section, _, name = key.partition(".")
+        sections.setdefault(section, {})[name] = value
+    return sections
+
+
+def write_settings(path: Path, sections: Mapping[str, Mapping[str, Any]]) -> None:
+    """A settings file; raises `InputError` where there is one, or it can not be written."""
+    text = yaml.safe_dump({k: dict(v) for k, v in sections.items()}, sort_keys=False)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise InputError.at(path, "is there already", "give another name") from None
+    except OSError as error:
+        raise InputError.at(path, f"cannot be written: {error.strerror}") from None
