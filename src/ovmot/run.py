@@ -14,7 +14,6 @@ from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.sequence import RecordedSequence
-from ovmot.datasets.stream import events
 from ovmot.errors import InputError, OvmotError
 from ovmot.odometry import STAGES, Odometry, noise_in_use
 from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
@@ -102,7 +101,7 @@ def run_sequence(
     fit the sequence or the folder, `OvmotError` where the run fails.
     """
     counts = Counter(sequence.counts)
-    stream = events(sequence, first=options.first, last=options.last)
+    stream = sequence.events(options.first, options.last)
     for masks in _masks(sequence, settings, options):
         stream = with_masks(stream, masks)
     poses: GivenPosesInitializer | None = None
