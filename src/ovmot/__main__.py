@@ -2,6 +2,8 @@
 
 import sys
 
+from ovmot.errors import is_interrupt
+
 EXIT_INTERRUPTED = 130
 
 
@@ -9,8 +11,10 @@ def main() -> None:
     """Load the command line, which takes seconds, and run it."""
     try:
         from ovmot.cli import app as cli
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
+    except BaseException as error:
+        if is_interrupt(error):
+            sys.exit(EXIT_INTERRUPTED)
+        raise
     cli.main()
 
 

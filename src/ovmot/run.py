@@ -14,17 +14,36 @@ from ovmot.datasets.instance_masks import InstanceMasks
 from ovmot.datasets.masks import MaskSource, open_mask_files, open_masks, with_masks
 from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.sequence import RecordedSequence
-from ovmot.errors import InputError, OvmotError
+from ovmot.datasets.usable_events import usable_events
+from ovmot.errors import InputError, OvmotError, is_interrupt
 from ovmot.odometry import STAGES, Odometry, noise_in_use
-from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
+from ovmot.outputs.run_json import (
+    RUNNING,
+    InputIdentity,
+    RunSummary,
+    reserve_run_json,
+    write_run_json,
+)
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
+from ovmot.runtime import HeldInterrupts
 from ovmot.settings import Settings
 from ovmot.text_files import StrPath
 from ovmot.types import Event, FrameResult, ImuNoise, ImuSample, StereoFrame
 from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_from_cam0
 
 _SAY_EVERY_NS = 1_000_000_000
+_UPDATE_EVERY_S = 5.0  # of the clock on the wall
 _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
+
+
+_LEFT_OUT = {
+    "frames_out_of_order": "frames whose stamp does not follow the one before: left out",
+    "imu_out_of_order": "IMU samples whose stamp does not follow the one before: left out",
+    "clock_set_back": "times the clock was set back: the position may jump there",
+    "imu_spikes": "IMU samples far from their neighbours: left out as spikes",
+    "imu_saturated": "IMU samples at the end of the sensor's range: left out",
+}
+"""The counts of `usable_events`, and what a run says of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +115,10 @@ def run_sequence(
     """Run, write everything into `options.out`, and say how it went.
 
     `on_frame` is called with the number of frames read, `on_wait` once a second of the data while
-    there is no initial state, with the reason. An error or Ctrl-C in the middle leaves whole rows
-    and a `run.json` that says so, and is raised again. Raises `InputError` for options that do not
-    fit the sequence or the folder, `OvmotError` where the run fails.
+    there is no initial state, with the reason. Ctrl-C takes effect between two events. It and an
+    error in the middle leave whole rows and a `run.json` that says so, and are raised again. Raises
+    `InputError` for options that do not fit the sequence or the folder, `OvmotError` where the run
+    fails.
     """
     counts = Counter(sequence.counts)
     stream = sequence.events(options.first, options.last)
@@ -162,49 +182,58 @@ def run_into_folder(
     """Give the stream to the odometry and its results to the files; see `run_sequence`."""
     odometry, counts, out = source.odometry, source.counts, Path(options.out)
     began = time.perf_counter()
-    ended = "finished"
-    failure: BaseException | None = None
     writer = open_outputs(
         out, rig=odometry.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
         frame_number=source.frame_number if settings.objects.enabled else None,
         more=options.more_outputs,
     )  # fmt: skip
-    try:
-        with writer, closing(source.stream):
-            counted = _counted(source.stream, counts, on_frame)
-            _write_all(_saying(counted, odometry, on_wait), odometry, writer, counts)
-            if writer.frames_written == 0:
-                why = odometry.not_started_because or "no frame was seen"
-                raise OvmotError(f"{source.name}: never started: {why}")
-    except KeyboardInterrupt as stop:
-        ended, failure = "interrupted", stop
-        raise
-    except Exception as error:
-        ended, failure = f"failed: {error}", error
-        raise
-    finally:
-        odometry.close()
-        counts["frames_written"] = writer.frames_written
-        counts["frames_never_covered_by_imu"] = odometry.dropped
-        counts.update(odometry.counts)
-        summary = RunSummary(
+
+    def described(ended: str) -> RunSummary:
+        counted = Counter(counts)
+        counted.update(dict(odometry.counts))  # a copy: another thread may be counting
+        counted["frames_written"] = writer.frames_written
+        counted["frames_never_covered_by_imu"] = odometry.dropped
+        return RunSummary(
             settings=settings,
             options=_options(options, source),
             imu_noise=source.imu_noise,
             source=source.identity,
-            counts=counts,
-            warnings=_warnings(source.warnings, options, settings, counts),
+            counts=counted,
+            warnings=_warnings(source.warnings, options, settings, counted),
             not_started_because=odometry.not_started_because,
             ended=ended,
             wall_seconds=time.perf_counter() - began,
         )
+
+    ended = "finished"
+    failure: BaseException | None = None
+    with HeldInterrupts() as interrupts:
         try:
-            write_run_json(out, summary)
-        except OvmotError as second:
-            if failure is None:
-                raise
-            failure.add_note(str(second))  # the first error is the one to report
+            with writer, closing(source.stream):
+                write_run_json(out, described(RUNNING))
+                reserve_run_json(out)
+                counted = _counted(source.stream, counts, on_frame)
+                usable = usable_events(counted, counts, settings.imu.max_gap_s)
+                updated = _updating(_saying(usable, odometry, on_wait), out, described)
+                _write_all(_interruptible(updated, interrupts), odometry, writer, counts)
+                if writer.frames_written == 0:
+                    why = odometry.not_started_because or "no frame was seen"
+                    raise OvmotError(f"{source.name}: never started: {why}")
+        except BaseException as error:
+            failure = error
+            ended = "interrupted" if is_interrupt(error) else f"failed: {error}"
+            raise
+        finally:
+            interrupts.hold_all()
+            odometry.close()
+            summary = described(ended)
+            try:
+                write_run_json(out, summary)
+            except OvmotError as second:
+                if failure is None:
+                    raise
+                failure.add_note(str(second))  # the first error is the one to report
     return summary
 
 
@@ -238,6 +267,9 @@ def _warnings(
     if counts["frames_never_covered_by_imu"]:
         text = "frames that the IMU never covered: without a pose"
         warnings[text] += counts["frames_never_covered_by_imu"]
+    for key, text in _LEFT_OUT.items():
+        if counts[key]:
+            warnings[text] += counts[key]
     unsure = counts["frames_degraded"] + counts["frames_lost"]
     if unsure:
         warnings["frames whose pose rests on the IMU alone (`health` in state.csv)"] += unsure
@@ -317,6 +349,27 @@ def _saying(
             said_ns = event.timestamp_ns
             why = odometry.not_started_because or "no frame is covered by the IMU"
             on_wait(f"no start at frame {event.timestamp_ns} ns: {why}")
+
+
+def _interruptible(stream: Iterable[Event], interrupts: HeldInterrupts) -> Iterator[Event]:
+    """The events; between two of them Ctrl-C takes effect."""
+    for event in stream:
+        interrupts.check()
+        yield event
+
+
+def _updating(
+    stream: Iterable[Event], out: Path, described: Callable[[str], RunSummary]
+) -> Iterator[Event]:
+    """The events; every few seconds, `run.json` is brought up to date."""
+    written_s = time.monotonic()
+    for event in stream:
+        yield event
+        if time.monotonic() - written_s > _UPDATE_EVERY_S:
+            written_s = time.monotonic()
+            if reserve_run_json(out):
+                write_run_json(out, described(RUNNING))
+                reserve_run_json(out)
 
 
 def _with_pose(

@@ -106,7 +106,7 @@ def test_a_stopped_run_lacks_its_last_rows(run: Path) -> None:
         ("trajectory.tum", lambda text: text.replace("2.0", "two", 1), "row 1: .* not a number"),
         ("state.csv", lambda _: "", "is empty"),
         ("state.csv", lambda text: text.replace(",vx,", ",wx,"), "row 1: has no column 'vx'"),
-        ("state.csv", lambda text: text[: len(text) // 2], "columns where 51 are expected"),
+        ("state.csv", lambda text: text[: len(text) // 2] + "\n", "columns where 51 are expected"),
         ("covariance.csv", lambda text: text.replace("e+0", "q", 1), "row 2: is not a number"),
         ("covariance.csv", lambda text: text.replace(f"{START}"[:9], "9"), "no row for any stamp"),
         ("covariance.csv", lambda text: text.splitlines()[0] + "\n", "no row for any stamp"),

@@ -57,9 +57,12 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; errors meant for the user become one line and an exit code.
 
-    A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
+    A polite request to end (SIGTERM) and a terminal that is closed (SIGHUP, unless `nohup` had it
+    ignored) are taken as Ctrl-C: what was done is kept, and said.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
     warnings.showwarning = say_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -164,7 +167,8 @@ def run(
         given.mask_files, threads,
     )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    compile_where(first_use)
+    with interruptible(NOTHING_WRITTEN):
+        compile_where(first_use)
     with (
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,

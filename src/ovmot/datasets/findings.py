@@ -10,7 +10,6 @@ import numpy as np
 from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import BoolArray, IntArray
 
-
 _TWICE = {"imu": "imu_duplicates", "frames": "duplicate_frames"}
 
 

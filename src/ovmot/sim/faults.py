@@ -127,9 +127,7 @@ def duplicated_frames(
             yield event
 
 
-def frozen_images(
-    events: Iterable[Event], span: Span, rng: np.random.Generator
-) -> Iterator[Event]:
+def frozen_images(events: Iterable[Event], span: Span, rng: np.random.Generator) -> Iterator[Event]:
     """A driver that hangs: the last images are handed out again, with new stamps."""
     last: Frame | None = None
     for event in events:
@@ -243,9 +241,7 @@ def imu_spikes(events: Iterable[Event], span: Span, rng: np.random.Generator) ->
             yield event
 
 
-def imu_saturated(
-    events: Iterable[Event], span: Span, rng: np.random.Generator
-) -> Iterator[Event]:
+def imu_saturated(events: Iterable[Event], span: Span, rng: np.random.Generator) -> Iterator[Event]:
     """Shocks: for 50 ms of each 200 ms, one axis is at the end of its range, ±250 °/s or ±2 g."""
     ends = np.repeat([np.deg2rad(250.0), 2.0 * 9.81], 3)
     shock, axis, value = -1, 0, 0.0
