@@ -3,12 +3,14 @@
 import sys
 
 from ovmot.errors import is_interrupt
+from ovmot.runtime import take_signals_as_interrupts
 
 EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
     """Load the command line, which takes seconds, and run it."""
+    take_signals_as_interrupts()
     try:
         from ovmot.cli import app as cli
     except BaseException as error:

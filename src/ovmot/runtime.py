@@ -61,6 +61,14 @@ def prepare_process() -> None:
             return  # another libc (musl): only speed is lost
 
 
+def take_signals_as_interrupts() -> None:
+    """Let SIGTERM and SIGHUP raise `KeyboardInterrupt`, as Ctrl-C does, also where a shell has
+    SIGINT ignored (`command &`); SIGHUP stays ignored where `nohup` wants it."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+
+
 class HeldInterrupts:
     """Ctrl-C and what is taken as it, held until `check` is called, so that no frame is torn.
 

@@ -1,7 +1,6 @@
 """The command line: thin; errors become one line and an exit code here alone."""
 
 import io
-import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -47,6 +46,7 @@ from ovmot.cli.options import (
     SetOption,
 )
 from ovmot.ros.bag_output import BagOutput
+from ovmot.runtime import take_signals_as_interrupts
 
 app = typer.Typer(
     name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -57,12 +57,10 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; errors meant for the user become one line and an exit code.
 
-    A polite request to end (SIGTERM) and a terminal that is closed (SIGHUP, unless `nohup` had it
-    ignored) are taken as Ctrl-C: what was done is kept, and said.
+    A polite request to end and a terminal that is closed are taken as Ctrl-C: what was done is
+    kept, and said.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        signal.signal(signal.SIGHUP, signal.default_int_handler)
+    take_signals_as_interrupts()
     warnings.showwarning = say_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -42,15 +42,17 @@ def _rising(events: Iterable[Event], counts: Counter[str], max_gap_ns: int) -> I
     newest_ns: dict[str, int] = {}
     in_a_row: Counter[str] = Counter()
     resume_ns: int | None = None
+    farthest_ns = 0  # by which the stamps have gone back
     for event in events:
         stamp, kind = event.timestamp_ns, "imu" if isinstance(event, ImuSample) else "frames"
         back_ns = newest_ns.get(kind, stamp - 1) - stamp
         if back_ns >= 0:
             counts[f"{kind}_out_of_order"] += 1
             in_a_row[kind] += 1
+            farthest_ns = back_ns if in_a_row[kind] == 1 else max(farthest_ns, back_ns)
             if in_a_row[kind] == _CLOCK_EVENTS and resume_ns is None:
                 counts["clock_set_back"] += 1
-                resume_ns = max(newest_ns.values()) + max(back_ns, 2 * max_gap_ns)
+                resume_ns = max(newest_ns.values()) + max(farthest_ns, 2 * max_gap_ns)
             continue
         in_a_row[kind] = 0
         if resume_ns is not None and stamp < resume_ns:
