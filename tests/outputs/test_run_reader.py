@@ -58,6 +58,17 @@ def run(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.parametrize("file", ["trajectory.tum", "state.csv", "covariance.csv"])
+def test_a_row_torn_by_a_kill_is_passed_over(run: Path, file: str) -> None:
+    text = (run / file).read_text()
+    (run / file).write_text(text[:-7])
+    got = read_ego_run(run)
+    assert len(got.timestamp_ns) == (2 if file == "trajectory.tum" else 3)
+    assert np.isfinite(known(got.velocity)[:2]).all()
+    assert np.isnan(known(got.velocity)[2:]).all() == (file != "covariance.csv")
+    assert np.isfinite(known(got.covariance)[:2]).all()
+
+
 def known(array: FloatArray | None) -> FloatArray:
     assert array is not None
     return array

@@ -8,6 +8,7 @@ import pytest
 
 from ovmot.datasets.registry import open_sequence
 from ovmot.errors import DatasetError, InputError
+from ovmot.geometry.arrays import FloatArray
 from ovmot.sim.faults import FAULTS, InjectedFault, Span, with_faults, with_injected
 from ovmot.types import Event, FeatureFrame, ImuSample, StereoFrame
 
@@ -77,7 +78,7 @@ def test_lost_late_and_repeated_frames() -> None:
 
 def test_images_that_lie() -> None:
     def left(name: str, number: int) -> list[int]:
-        return frames(spoilt(name))[number].left[:, 0].tolist()
+        return [int(grey) for grey in frames(spoilt(name))[number].left[:, 0]]
 
     assert left("frozen_images", 15) == [9] * 4
     assert left("frozen_images", 20) == [20] * 4
@@ -92,7 +93,7 @@ def test_images_that_lie() -> None:
 
 
 def test_features_of_one_camera_and_of_none() -> None:
-    def pixels(name: str) -> np.ndarray:
+    def pixels(name: str) -> FloatArray:
         (found,) = [
             e for e in spoilt(name, features=True)
             if isinstance(e, FeatureFrame) and e.timestamp_ns == START_NS + 15 * FRAME_NS

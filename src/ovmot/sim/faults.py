@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -207,11 +208,12 @@ def right_gone(events: Iterable[Event], span: Span, rng: np.random.Generator) ->
 
 
 def _without_camera(side: str, events: Iterable[Event], span: Span) -> Iterator[Event]:
+    no_image: dict[str, Any] = {side: None}
     for event in events:
         if isinstance(event, ImuSample) or event.timestamp_ns not in span:
             yield event
         elif isinstance(event, StereoFrame):
-            yield replace(event, **{side: None})
+            yield replace(event, **no_image)
         else:
             pixels = event.pixels.copy()
             pixels[:, slice(0, 2) if side == "left" else slice(2, 4)] = np.nan
