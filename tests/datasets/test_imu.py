@@ -97,7 +97,7 @@ def test_imu_stamps_twice_and_backwards(euroc: Path) -> None:
     path.write_text("\n".join([*lines[:10], lines[12], *lines[10:]]))  # rows 12 to 14 come late
     late = open_sequence(euroc)
     assert late.imu is not None
-    assert (len(late.imu), late.counts) == (119, {"imu_duplicates": 1, "imu_out_of_order": 2})
+    assert (len(late.imu), late.counts) == (119, {"imu_duplicates": 1, "imu_rows_out_of_order": 2})
     assert np.all(np.diff(late.imu.timestamp_ns) > 0)
     assert any("the first is row 12: dropped" in text for text in late.warnings)
     path.write_text("\n".join([lines[0], *reversed(lines[1:])]))

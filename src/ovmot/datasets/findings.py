@@ -11,6 +11,7 @@ from ovmot.errors import DatasetError, InputError
 from ovmot.geometry.arrays import BoolArray, IntArray
 
 _TWICE = {"imu": "imu_duplicates", "frames": "duplicate_frames"}
+_LATE = {"imu": "imu_rows_out_of_order", "frames": "frame_rows_out_of_order"}
 
 
 @dataclass(slots=True)
@@ -53,7 +54,7 @@ def rising(
             f"{path}: {n_late} rows of {kind} with a stamp before one above, the first is row"
             f" {first}: dropped; where the clock was set back, the position may jump"
         )
-        findings.note(f"{kind}_out_of_order", n_late, text)
+        findings.note(_LATE[kind], n_late, text)
     return fresh
 
 
