@@ -84,7 +84,8 @@ def soak(
     """Feed the events with faults to the odometry, and look at what comes out."""
     found = Soak()
     injected: list[Spoilt] = []
-    stream = usable_events(_with_faults(events, faults, rng, injected), found.counts, 0.1)
+    gap_s = ovmot.Settings().health.lost_after_gap_s
+    stream = usable_events(_with_faults(events, faults, rng, injected), found.counts, gap_s)
     cpu_s: list[float] = []
     period, judged, spent_s, segment = 0, 0, 0.0, 0
     for event in stream:

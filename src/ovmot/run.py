@@ -39,7 +39,7 @@ _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be d
 _LEFT_OUT = {
     "frames_out_of_order": "frames whose stamp does not follow the one before: left out",
     "imu_out_of_order": "IMU samples whose stamp does not follow the one before: left out",
-    "clock_set_back": "times the clock was set back: the position may jump there",
+    "clock_set_back": "times the clock was set back: started again there",
     "imu_spikes": "IMU samples far from their neighbours: left out as spikes",
     "imu_saturated": "IMU samples at the end of the sensor's range: left out",
 }
@@ -214,7 +214,7 @@ def run_into_folder(
                 write_run_json(out, described(RUNNING))
                 reserve_run_json(out)
                 counted = _counted(source.stream, counts, on_frame)
-                usable = usable_events(counted, counts, settings.imu.max_gap_s)
+                usable = usable_events(counted, counts, settings.health.lost_after_gap_s)
                 updated = _updating(_saying(usable, odometry, on_wait), out, described)
                 _write_all(_interruptible(updated, interrupts), odometry, writer, counts)
                 if writer.frames_written == 0:

@@ -96,9 +96,9 @@ def test_an_unsure_velocity_is_lost(ego: MsckfFilter, start_ns: int) -> None:
     [
         (range(41, 60), (20, 40, 60), 0.1),  # 95 ms: no gap
         (range(41, 120), (20, 40, 60, 80, 120), 0.0),  # frames in the gap
+        (range(41, 90), (20, 40, 90), 0.25),
+        (range(42, 91), (20, 40, 90, 110), 0.245),  # not quite between the same two frames
         (range(41, 120), (20, 40, 120), 0.4),
-        (range(42, 121), (20, 40, 120, 140), 0.395),  # not quite between the same two frames
-        (range(41, 200), (20, 40, 200), 0.8),
     ],
 )
 def test_a_gap_that_imu_and_frames_share_is_not_trusted(
@@ -120,7 +120,7 @@ def test_a_gap_that_imu_and_frames_share_is_not_trusted(
         sigma.append(float(np.sqrt(np.trace(ego.state.covariance[POSITION, POSITION]))))
     unmeasured_s = 0.0 if unmeasured_s <= 0.1 else unmeasured_s
     assert longest == pytest.approx(unmeasured_s, abs=1e-3)
-    assert (Health.LOST in healths) == (unmeasured_s > 0.7)
+    assert (Health.LOST in healths) == (unmeasured_s > 0.3)
     speed = float(np.linalg.norm(ego.state.imu.velocity))
     if unmeasured_s:
         assert sigma[-1] > 0.5 * unmeasured_s * speed

@@ -24,38 +24,35 @@ Reading = tuple[float, ...]
 
 
 def usable_events(
-    events: Iterable[Event], counts: Counter[str], max_gap_s: float
+    events: Iterable[Event], counts: Counter[str], lost_after_gap_s: float
 ) -> Generator[Event, None, None]:
     """The events that the odometry can take, in their order; those left out go into `counts`.
 
     - `frames_out_of_order`, `imu_out_of_order`: the stamp does not follow the last one of its kind.
-    - `clock_set_back`: how often that was so for three in a row. The time that it went back by is
-      then left out once more (`events_after_clock`), at least twice `max_gap_s`: such a gap tells
-      the odometry not to trust the time in between.
+    - `clock_set_back`: how often that was so for three in a row. What the rig did meanwhile is not
+      known. A gap of more than `lost_after_gap_s`, for which more is left out
+      (`events_after_clock`), tells the odometry to begin anew.
     - `imu_spikes`: a value that is not finite or stands alone between its neighbours.
     - `imu_saturated`: a value that stays the same at the end of a sensor's range.
     """
-    yield from _plausible(_rising(events, counts, round(1e9 * max_gap_s)), counts)
+    yield from _plausible(_rising(events, counts, round(1e9 * lost_after_gap_s)), counts)
 
 
-def _rising(events: Iterable[Event], counts: Counter[str], max_gap_ns: int) -> Iterator[Event]:
+def _rising(events: Iterable[Event], counts: Counter[str], gap_ns: int) -> Iterator[Event]:
     newest_ns: dict[str, int] = {}
     in_a_row: Counter[str] = Counter()
     resume_ns: int | None = None
-    farthest_ns = 0  # by which the stamps have gone back
     for event in events:
         stamp, kind = event.timestamp_ns, "imu" if isinstance(event, ImuSample) else "frames"
-        back_ns = newest_ns.get(kind, stamp - 1) - stamp
-        if back_ns >= 0:
+        if kind in newest_ns and stamp <= newest_ns[kind]:
             counts[f"{kind}_out_of_order"] += 1
             in_a_row[kind] += 1
-            farthest_ns = back_ns if in_a_row[kind] == 1 else max(farthest_ns, back_ns)
             if in_a_row[kind] == _CLOCK_EVENTS and resume_ns is None:
                 counts["clock_set_back"] += 1
-                resume_ns = max(newest_ns.values()) + max(farthest_ns, 2 * max_gap_ns)
+                resume_ns = max(newest_ns.values()) + gap_ns
             continue
         in_a_row[kind] = 0
-        if resume_ns is not None and stamp < resume_ns:
+        if resume_ns is not None and stamp <= resume_ns:
             counts["events_after_clock"] += 1
             continue
         resume_ns = None

@@ -222,12 +222,13 @@ class MsckfFilter:
         for k in range(len(T)):
             position = slice(state.clone_columns(k).start + 3, state.clone_columns(k).stop)
             G[position, position] = R_new_old
+        covariance = G @ state.covariance @ G.T
         placed = replace(
             state,
             imu=imu,
             imu_first=imu,
             clones=Clones(state.clones.timestamp_ns, T_new_old @ T, T_new_old @ T),
-            covariance=G @ state.covariance @ G.T,
+            covariance=0.5 * (covariance + covariance.T),
         )
         return replace(self, state=placed)
 
