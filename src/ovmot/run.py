@@ -180,6 +180,18 @@ def run_into_folder(
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> RunSummary:
     """Give the stream to the odometry and its results to the files; see `run_sequence`."""
+    with HeldInterrupts() as interrupts:
+        return _run_interruptibly(source, settings, options, (on_frame, on_wait), interrupts)
+
+
+def _run_interruptibly(
+    source: RunInput,
+    settings: Settings,
+    options: RunOptions,
+    watchers: tuple[Callable[[int], None], Callable[[str], None]],
+    interrupts: HeldInterrupts,
+) -> RunSummary:
+    on_frame, on_wait = watchers
     odometry, counts, out = source.odometry, source.counts, Path(options.out)
     began = time.perf_counter()
     writer = open_outputs(
@@ -208,32 +220,31 @@ def run_into_folder(
 
     ended = "finished"
     failure: BaseException | None = None
-    with HeldInterrupts() as interrupts:
+    try:
+        with writer, closing(source.stream):
+            write_run_json(out, described(RUNNING))
+            reserve_run_json(out)
+            counted = _counted(source.stream, counts, on_frame)
+            usable = usable_events(counted, counts, settings.health.lost_after_gap_s)
+            updated = _updating(_saying(usable, odometry, on_wait), out, described)
+            _write_all(_interruptible(updated, interrupts), odometry, writer, counts)
+            if writer.frames_written == 0:
+                why = odometry.not_started_because or "no frame was seen"
+                raise OvmotError(f"{source.name}: never started: {why}")
+    except BaseException as error:
+        failure = error
+        ended = "interrupted" if is_interrupt(error) else f"failed: {error}"
+        raise
+    finally:
+        interrupts.hold_all()
+        odometry.close()
+        summary = described(ended)
         try:
-            with writer, closing(source.stream):
-                write_run_json(out, described(RUNNING))
-                reserve_run_json(out)
-                counted = _counted(source.stream, counts, on_frame)
-                usable = usable_events(counted, counts, settings.health.lost_after_gap_s)
-                updated = _updating(_saying(usable, odometry, on_wait), out, described)
-                _write_all(_interruptible(updated, interrupts), odometry, writer, counts)
-                if writer.frames_written == 0:
-                    why = odometry.not_started_because or "no frame was seen"
-                    raise OvmotError(f"{source.name}: never started: {why}")
-        except BaseException as error:
-            failure = error
-            ended = "interrupted" if is_interrupt(error) else f"failed: {error}"
-            raise
-        finally:
-            interrupts.hold_all()
-            odometry.close()
-            summary = described(ended)
-            try:
-                write_run_json(out, summary)
-            except OvmotError as second:
-                if failure is None:
-                    raise
-                failure.add_note(str(second))  # the first error is the one to report
+            write_run_json(out, summary)
+        except OvmotError as second:
+            if failure is None:
+                raise
+            failure.add_note(str(second))  # the first error is the one to report
     return summary
 
 
