@@ -1,14 +1,24 @@
 """Process-wide limits; each test looks at a fresh interpreter, since they act once, on import."""
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 
 import pytest
 
-from ovmot.runtime import BLAS_THREAD_VARIABLES, Stopwatch, do_together, helping_thread
+from ovmot.errors import is_interrupt
+from ovmot.runtime import (
+    BLAS_THREAD_VARIABLES,
+    HeldInterrupts,
+    Stopwatch,
+    do_together,
+    helping_thread,
+    take_signals_as_interrupts,
+)
 
 
 def output_of(code: str, **extra: str) -> str:
@@ -82,3 +92,72 @@ def test_what_a_job_raises_comes_through() -> None:
     for threads in (1, 2):
         with helping_thread(threads) as helper, pytest.raises(ValueError, match="no"):
             do_together([fail, fail], helper)
+
+
+def test_signals_are_held_until_it_is_asked() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with HeldInterrupts() as interrupts:
+        interrupts.check()
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check()
+        interrupts.check()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_second_signal_is_not_held_but_at_the_end() -> None:
+    with HeldInterrupts() as interrupts:
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        interrupts.hold_all()
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_only_signals_that_would_interrupt_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGTERM as the command line takes it; another program's own handlers stay its own."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        take_signals_as_interrupts()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        take_signals_as_interrupts()
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup
+        with HeldInterrupts() as interrupts:
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            signal.raise_signal(signal.SIGTERM)
+            with pytest.raises(KeyboardInterrupt):
+                interrupts.check()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def test_in_another_thread_there_is_nothing_to_hold() -> None:
+    failures: list[BaseException] = []
+
+    def enter() -> None:
+        try:
+            with HeldInterrupts() as interrupts:
+                interrupts.check()
+        except BaseException as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join()
+    assert failures == []
+
+
+def test_what_libraries_make_of_an_interrupt_is_one() -> None:
+    def loaded() -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise SystemError("returned a result with an exception set") from stop
+
+    with pytest.raises(SystemError) as caught:
+        loaded()
+    assert is_interrupt(caught.value)
+    assert is_interrupt(KeyboardInterrupt())
+    assert not is_interrupt(SystemError("other"))

@@ -2,15 +2,21 @@
 
 import sys
 
+from ovmot.errors import is_interrupt
+from ovmot.runtime import take_signals_as_interrupts
+
 EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
     """Load the command line, which takes seconds, and run it."""
+    take_signals_as_interrupts()
     try:
         from ovmot.cli import app as cli
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
+    except BaseException as error:
+        if is_interrupt(error):
+            sys.exit(EXIT_INTERRUPTED)
+        raise
     cli.main()
 
 

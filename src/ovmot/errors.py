@@ -33,3 +33,18 @@ class InitializationError(OvmotError):
 
 class SettingsWarning(UserWarning):
     """A setting is accepted, but not under this name any more."""
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Is it Ctrl-C, or an error that a library has made of it?
+
+    numba, for one, raises `SystemError` where Ctrl-C falls into the loading of a kernel.
+    """
+    seen: set[int] = set()
+    cause: BaseException | None = error
+    while cause is not None and id(cause) not in seen:
+        if isinstance(cause, KeyboardInterrupt):
+            return True
+        seen.add(id(cause))
+        cause = cause.__cause__ or cause.__context__
+    return False

@@ -24,19 +24,37 @@ from ovmot.datasets.masks import (
 from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.presets import Preset
 from ovmot.datasets.sequence import RecordedSequence
-from ovmot.datasets.stream import events
-from ovmot.errors import InputError, OvmotError
+from ovmot.datasets.usable_events import usable_events
+from ovmot.errors import InputError, OvmotError, is_interrupt
 from ovmot.odometry import NO_OBJECTS, STAGES, Odometry, noise_in_use, settings_in_use
 from ovmot.outputs.rig_masks import write_rig_masks
-from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
+from ovmot.outputs.run_json import (
+    RUNNING,
+    InputIdentity,
+    RunSummary,
+    reserve_run_json,
+    write_run_json,
+)
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
+from ovmot.runtime import HeldInterrupts
 from ovmot.settings import Settings
 from ovmot.text_files import StrPath
 from ovmot.types import Event, FrameResult, ImuNoise, ImuSample, Picture, StereoFrame
 from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_from_cam0
 
 _SAY_EVERY_NS = 1_000_000_000
+_UPDATE_EVERY_S = 5.0  # of the clock on the wall
 _MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
+
+
+_LEFT_OUT = {
+    "frames_out_of_order": "frames whose stamp does not follow the one before: left out",
+    "imu_out_of_order": "IMU samples whose stamp does not follow the one before: left out",
+    "clock_set_back": "times the clock was set back: started again there",
+    "imu_spikes": "IMU samples far from their neighbours: left out as spikes",
+    "imu_saturated": "IMU samples at the end of the sensor's range: left out",
+}
+"""The counts of `usable_events`, and what a run says of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +127,16 @@ def run_sequence(
     """Run, write everything into `options.out`, and say how it went.
 
     `on_frame` is called with the number of frames read, `on_wait` once a second of the data while
-    there is no initial state, with the reason. An error or Ctrl-C in the middle leaves whole rows
-    and a `run.json` that says so, and is raised again. Raises `InputError` for options that do not
-    fit the sequence or the folder, `OvmotError` where the run fails.
+    there is no initial state, with the reason. Ctrl-C takes effect between two events. It and an
+    error in the middle leave whole rows and a `run.json` that says so, and are raised again. Raises
+    `InputError` for options that do not fit the sequence or the folder, `OvmotError` where the run
+    fails.
     """
     sequence = corrected(sequence, settings.recording)
     counts, wanted = Counter(sequence.counts), settings.objects.enabled
     settings = settings_in_use(settings, sequence.rig)
     no_objects = [NO_OBJECTS] if wanted and not settings.objects.enabled else []
-    stream = events(sequence, first=options.first, last=options.last)
+    stream = sequence.events(options.first, options.last)
     for masks in _masks(sequence, settings, options):
         stream = with_masks(stream, masks)
     poses: GivenPosesInitializer | None = None
@@ -177,50 +196,70 @@ def run_into_folder(
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> RunSummary:
     """Give the stream to the odometry and its results to the files; see `run_sequence`."""
+    with HeldInterrupts() as interrupts:
+        return _run_interruptibly(source, settings, options, (on_frame, on_wait), interrupts)
+
+
+def _run_interruptibly(
+    source: RunInput,
+    settings: Settings,
+    options: RunOptions,
+    watchers: tuple[Callable[[int], None], Callable[[str], None]],
+    interrupts: HeldInterrupts,
+) -> RunSummary:
+    on_frame, on_wait = watchers
     odometry, counts, out = source.odometry, source.counts, Path(options.out)
     began = time.perf_counter()
-    ended = "finished"
-    failure: BaseException | None = None
     writer = open_outputs(
         out, rig=odometry.rig, save_points=options.save_points, video=options.video,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
         frame_number=source.frame_number if settings.objects.enabled else None,
         more=options.more_outputs,
     )  # fmt: skip
-    try:
-        if settings.calibration.any:
-            write_chain(out / CHAIN_FILE, odometry.rig)
-        with writer, closing(source.stream):
-            counted = _counted(source.stream, counts, on_frame)
-            _write_all(_saying(counted, odometry, on_wait), odometry, writer, counts)
-            if writer.frames_written == 0:
-                why = odometry.not_started_because or "no frame was seen"
-                raise OvmotError(f"{source.name}: never started: {why}")
-    except KeyboardInterrupt as stop:
-        ended, failure = "interrupted", stop
-        raise
-    except Exception as error:
-        ended, failure = f"failed: {error}", error
-        raise
-    finally:
-        odometry.close()
-        counts["frames_written"] = writer.frames_written
-        counts["frames_never_covered_by_imu"] = odometry.dropped
-        counts.update(odometry.counts)
-        counts["rig_masks"] = len(write_rig_masks(out, odometry.rig_body, odometry.rig))
-        summary = RunSummary(
+
+    def described(ended: str) -> RunSummary:
+        counted = Counter(counts)
+        counted.update(dict(odometry.counts))  # a copy: another thread may be counting
+        counted["frames_written"] = writer.frames_written
+        counted["frames_never_covered_by_imu"] = odometry.dropped
+        return RunSummary(
             settings=settings,
             options=_options(options, source),
             imu_noise=source.imu_noise,
             source=source.identity,
-            counts=counts,
-            warnings=_warnings(source.warnings, options, settings, counts),
+            counts=counted,
+            warnings=_warnings(source.warnings, options, settings, counted),
             not_started_because=odometry.not_started_because,
             ended=ended,
             wall_seconds=time.perf_counter() - began,
             preset_name=None if source.preset is None else source.preset.name,
             preset={} if source.preset is None else source.preset.in_force(settings),
         )
+
+    ended = "finished"
+    failure: BaseException | None = None
+    try:
+        with writer, closing(source.stream):
+            write_run_json(out, described(RUNNING))
+            reserve_run_json(out)
+            if settings.calibration.any:
+                write_chain(out / CHAIN_FILE, odometry.rig)
+            counted = _counted(source.stream, counts, on_frame)
+            usable = usable_events(counted, counts, settings.health.lost_after_gap_s)
+            updated = _updating(_saying(usable, odometry, on_wait), out, described)
+            _write_all(_interruptible(updated, interrupts), odometry, writer, counts)
+            if writer.frames_written == 0:
+                why = odometry.not_started_because or "no frame was seen"
+                raise OvmotError(f"{source.name}: never started: {why}")
+    except BaseException as error:
+        failure = error
+        ended = "interrupted" if is_interrupt(error) else f"failed: {error}"
+        raise
+    finally:
+        interrupts.hold_all()
+        odometry.close()
+        counts["rig_masks"] = len(write_rig_masks(out, odometry.rig_body, odometry.rig))
+        summary = described(ended)
         try:
             write_run_json(out, summary)
         except OvmotError as second:
@@ -260,6 +299,9 @@ def _warnings(
     if counts["frames_never_covered_by_imu"]:
         text = "frames that the IMU never covered: without a pose"
         warnings[text] += counts["frames_never_covered_by_imu"]
+    for key, text in _LEFT_OUT.items():
+        if counts[key]:
+            warnings[text] += counts[key]
     unsure = counts["frames_degraded"] + counts["frames_lost"]
     if unsure:
         warnings["frames whose pose rests on the IMU alone (`health` in state.csv)"] += unsure
@@ -346,6 +388,27 @@ def _saying(
             said_ns = event.timestamp_ns
             why = odometry.not_started_because or "no frame is covered by the IMU"
             on_wait(f"no start at frame {event.timestamp_ns} ns: {why}")
+
+
+def _interruptible(stream: Iterable[Event], interrupts: HeldInterrupts) -> Iterator[Event]:
+    """The events; between two of them Ctrl-C takes effect."""
+    for event in stream:
+        interrupts.check()
+        yield event
+
+
+def _updating(
+    stream: Iterable[Event], out: Path, described: Callable[[str], RunSummary]
+) -> Iterator[Event]:
+    """The events; every few seconds, `run.json` is brought up to date."""
+    written_s = time.monotonic()
+    for event in stream:
+        yield event
+        if time.monotonic() - written_s > _UPDATE_EVERY_S:
+            written_s = time.monotonic()
+            if reserve_run_json(out):
+                write_run_json(out, described(RUNNING))
+                reserve_run_json(out)
 
 
 def _with_pose(

@@ -7,13 +7,16 @@ the kernel. `limit_blas_threads` must run before NumPy is first imported.
 
 import ctypes
 import os
+import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from types import FrameType
+from typing import Any, Self, TypeVar
 
 _T = TypeVar("_T")
 
@@ -56,6 +59,58 @@ def prepare_process() -> None:
             libc.mallopt(_M_TOP_PAD, _TOP_PAD_BYTES)
         except (OSError, AttributeError):
             return  # another libc (musl): only speed is lost
+
+
+def take_signals_as_interrupts() -> None:
+    """Let SIGTERM and SIGHUP raise `KeyboardInterrupt`, as Ctrl-C does, also where a shell has
+    SIGINT ignored (`command &`); SIGHUP stays ignored where `nohup` wants it."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.default_int_handler)
+
+
+class HeldInterrupts:
+    """Ctrl-C and what is taken as it, held until `check` is called, so that no frame is torn.
+
+    A context manager. It holds those signals whose handler would raise `KeyboardInterrupt`
+    (`signal.default_int_handler`), where it is entered in the main thread; elsewhere there are none
+    to hold. A second one is not held, so that what hangs can be stopped, but after `hold_all`.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[signal.Signals] = []
+        self._asked = False
+        self._all = False
+
+    def check(self) -> None:
+        """Raise `KeyboardInterrupt` where one is held."""
+        if self._asked:
+            self._asked = False
+            raise KeyboardInterrupt
+
+    def hold_all(self) -> None:
+        """Hold all that come from now on: what is left to do is short, and wants to be done."""
+        self._all = True
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._held = [
+                number
+                for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+                if signal.getsignal(number) is signal.default_int_handler
+            ]
+            for number in self._held:
+                signal.signal(number, self._ask)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number in self._held:
+            signal.signal(number, signal.default_int_handler)
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        if self._asked and not self._all:
+            signal.default_int_handler(number, frame)
+        self._asked = True
 
 
 class Stopwatch:

@@ -185,6 +185,8 @@ class HealthSettings(Section):
     """After this long it is called lost."""
     lost_velocity_sigma_mps: float = Field(3.0, gt=0.0)
     """It is called lost as well where the velocity is less sure than this."""
+    lost_after_gap_s: float = Field(0.3, gt=0.0)
+    """And where for this long there was neither IMU nor frame: the clock may have been set."""
     reset: bool = True
     """Start again where the ego motion is lost; a new segment begins."""
 

@@ -44,11 +44,17 @@ def warm_up() -> None:
         )
         for names in PROCESSES
     }  # fmt: skip
-    for names, job in jobs.items():
-        _, said = job.communicate()
-        if job.returncode:
-            last = said.strip().splitlines()[-1] if said.strip() else f"exit {job.returncode}"
-            raise OvmotError(f"kernels of the {' and '.join(names)} could not be compiled: {last}")
+    try:
+        for names, job in jobs.items():
+            _, said = job.communicate()
+            if job.returncode:
+                last = said.strip().splitlines()[-1] if said.strip() else f"exit {job.returncode}"
+                what = " and ".join(names)
+                raise OvmotError(f"kernels of the {what} could not be compiled: {last}")
+    finally:
+        for job in jobs.values():  # after an error or Ctrl-C
+            job.kill()
+            job.communicate()
 
 
 def call(names: tuple[str, ...]) -> None:

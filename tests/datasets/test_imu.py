@@ -94,8 +94,14 @@ def test_imu_stamps_twice_and_backwards(euroc: Path) -> None:
     sequence = open_sequence(euroc)
     assert sequence.imu is not None
     assert (len(sequence.imu), sequence.counts) == (121, {"imu_duplicates": 2})
-    path.write_text("\n".join([*lines[:10], lines[8], *lines[10:]]))
-    with pytest.raises(DatasetError, match=r"data\.csv, row 11: .*before that of the row above"):
+    path.write_text("\n".join([*lines[:10], lines[12], *lines[10:]]))  # rows 12 to 14 come late
+    late = open_sequence(euroc)
+    assert late.imu is not None
+    assert (len(late.imu), late.counts) == (119, {"imu_duplicates": 1, "imu_rows_out_of_order": 2})
+    assert np.all(np.diff(late.imu.timestamp_ns) > 0)
+    assert any("the first is row 12: dropped" in text for text in late.warnings)
+    path.write_text("\n".join([lines[0], *reversed(lines[1:])]))
+    with pytest.raises(DatasetError, match=r"data\.csv, row 3: most stamps do not follow"):
         open_sequence(euroc)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import ovmot
 from ovmot.errors import OvmotError
-from ovmot.outputs.run_json import InputIdentity, RunSummary, write_run_json
+from ovmot.outputs.run_json import InputIdentity, RunSummary, reserve_run_json, write_run_json
 from ovmot.settings import EpipolarSettings, Settings
 from ovmot.types import ImuNoise
 
@@ -74,6 +74,29 @@ def test_full_disk_keeps_the_old_file(
         write_run_json(tmp_path, summary())
     assert (tmp_path / "run.json").read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_with_room_reserved_a_full_disk_does_not_matter(
+    tmp_path: Path,
+) -> None:
+    """The room is that of the file itself: nothing is opened anew, and nothing more is needed."""
+    write_run_json(tmp_path, summary("running"))
+    assert reserve_run_json(tmp_path)
+    reserved = tmp_path / "run.json.part"
+    assert reserved.stat().st_blocks * 512 > 4 * (tmp_path / "run.json").stat().st_size
+    inode = reserved.stat().st_ino
+    write_run_json(tmp_path, summary("failed: no space left on device"))
+    assert (tmp_path / "run.json").stat().st_ino == inode
+    assert json.loads((tmp_path / "run.json").read_text())["ended"].startswith("failed: no space")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_without_room_nothing_is_reserved(
+    tmp_path: Path, full_disk: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    with full_disk(100):
+        assert not reserve_run_json(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_ending_is_refused() -> None:

@@ -58,6 +58,17 @@ def run(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.parametrize("file", ["trajectory.tum", "state.csv", "covariance.csv"])
+def test_a_row_torn_by_a_kill_is_passed_over(run: Path, file: str) -> None:
+    text = (run / file).read_text()
+    (run / file).write_text(text[:-7])
+    got = read_ego_run(run)
+    assert len(got.timestamp_ns) == (2 if file == "trajectory.tum" else 3)
+    assert np.isfinite(known(got.velocity)[:2]).all()
+    assert np.isnan(known(got.velocity)[2:]).all() == (file != "covariance.csv")
+    assert np.isfinite(known(got.covariance)[:2]).all()
+
+
 def known(array: FloatArray | None) -> FloatArray:
     assert array is not None
     return array
@@ -106,7 +117,7 @@ def test_a_stopped_run_lacks_its_last_rows(run: Path) -> None:
         ("trajectory.tum", lambda text: text.replace("2.0", "two", 1), "row 1: .* not a number"),
         ("state.csv", lambda _: "", "is empty"),
         ("state.csv", lambda text: text.replace(",vx,", ",wx,"), "row 1: has no column 'vx'"),
-        ("state.csv", lambda text: text[: len(text) // 2], "columns where 51 are expected"),
+        ("state.csv", lambda text: text[: len(text) // 2] + "\n", "columns where 51 are expected"),
         ("covariance.csv", lambda text: text.replace("e+0", "q", 1), "row 2: is not a number"),
         ("covariance.csv", lambda text: text.replace(f"{START}"[:9], "9"), "no row for any stamp"),
         ("covariance.csv", lambda text: text.splitlines()[0] + "\n", "no row for any stamp"),

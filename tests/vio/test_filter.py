@@ -91,6 +91,41 @@ def test_an_unsure_velocity_is_lost(ego: MsckfFilter, start_ns: int) -> None:
     assert ego.health(start_ns) == Health.TRACKING
 
 
+@pytest.mark.parametrize(
+    ("missing", "frames", "unmeasured_s"),
+    [
+        (range(41, 60), (20, 40, 60), 0.1),  # 95 ms: no gap
+        (range(41, 120), (20, 40, 60, 80, 120), 0.0),  # frames in the gap
+        (range(41, 90), (20, 40, 90), 0.25),
+        (range(42, 91), (20, 40, 90, 110), 0.245),  # not quite between the same two frames
+        (range(41, 120), (20, 40, 120), 0.4),
+    ],
+)
+def test_a_gap_that_imu_and_frames_share_is_not_trusted(
+    ego: MsckfFilter, curvy_path: PoseSpline, start_ns: int,
+    missing: range, frames: tuple[int, ...], unmeasured_s: float,
+) -> None:  # fmt: skip
+    """Frames and samples by number, 5 ms apart: position unsure by as much as it moves then."""
+    buffer, longest, sigma = ImuBuffer(), 0.0, []
+    stamps = start_ns + 5_000_000 * np.arange(-10, 300)
+    data = perfect_imu(curvy_path, stamps)
+    for k, stamp in enumerate(stamps.tolist(), start=-10):
+        if k not in missing:
+            buffer.append(ImuSample(stamp, data.gyro[k + 10], data.accel[k + 10]))
+    healths = []
+    for k in frames:
+        ego = ego.propagate(start_ns + 5_000_000 * k, buffer)
+        longest = max(longest, ego.unmeasured_s)
+        healths.append(ego.health(start_ns + 5_000_000 * k))
+        sigma.append(float(np.sqrt(np.trace(ego.state.covariance[POSITION, POSITION]))))
+    unmeasured_s = 0.0 if unmeasured_s <= 0.1 else unmeasured_s
+    assert longest == pytest.approx(unmeasured_s, abs=1e-3)
+    assert (Health.LOST in healths) == (unmeasured_s > 0.3)
+    speed = float(np.linalg.norm(ego.state.imu.velocity))
+    if unmeasured_s:
+        assert sigma[-1] > 0.5 * unmeasured_s * speed
+
+
 def test_placed_at_a_pose_it_keeps_tilt_speed_and_uncertainty(ego: MsckfFilter) -> None:
     there = se3.make(so3.exp(np.array([0.2, -0.1, 2.0])), np.array([7.0, -3.0, 1.0]))
     placed = ego.placed(there)

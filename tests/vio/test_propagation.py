@@ -215,6 +215,29 @@ def test_a_gap_leaves_the_end_uncertain_also_with_frames_inside_it(
     assert position_sigma(long_gap) > 100.0 * position_sigma(everything)
 
 
+def test_where_the_length_is_unsure_the_pose_is_along_its_motion(
+    curvy_path: PoseSpline, start_ns: int, noise: ImuNoise
+) -> None:
+    """By a length of the interval that differs by one standard deviation."""
+    imu = imu_state(curvy_path, start_ns)
+    t = stamps(start_ns, 0.02, 200.0)
+    gyro, force = np.array([0.3, -0.2, 0.5]), imu.R_world_imu.T @ np.array([0.0, 0.0, 9.81])
+    sigma_s = 1e-3
+
+    def moved(length: float, unsure_s: float = 0.0) -> Propagation:
+        times = start_ns + np.round(length * (t - start_ns)).astype(np.int64)
+        samples = ImuData(times, np.tile(gyro, (len(t), 1)), np.tile(force, (len(t), 1)))
+        return propagate_imu(imu, imu, samples, noise, 9.81, integrate_rk4, unsure_s=unsure_s)
+
+    span_s = 1e-9 * float(t[-1] - t[0])
+    end, longer = moved(1.0).imu, moved(1.0 + sigma_s / span_s).imu
+    turned = so3.log(end.R_world_imu.T @ longer.R_world_imu)
+    by_length = np.concatenate([turned, longer.position - end.position])
+    added = moved(1.0, sigma_s).noise - moved(1.0).noise
+    np.testing.assert_allclose(added[:6, :6], np.outer(by_length, by_length), rtol=0.02, atol=1e-12)
+    assert not added[6:].any()
+
+
 def unobservable(imu: ImuState) -> FloatArray:
     """Directions (15, 4) of the error that no measurement can see: position, and yaw."""
     g = np.array([0.0, 0.0, G])

@@ -117,6 +117,7 @@ def test_a_clone_copies_the_pose_s_rows(make_state: MakeState) -> None:
     G[at : at + 6, TIME_OFFSET] = by_offset
     found = clone_covariance_compiled(P, by_offset, at, TIME_OFFSET)
     np.testing.assert_allclose(found, G @ P @ G.T, atol=1e-14)
+    np.testing.assert_array_equal(found, found.T)
 
 
 def test_rows_and_columns_are_chosen(make_state: MakeState) -> None:

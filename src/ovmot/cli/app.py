@@ -1,7 +1,6 @@
 """The command line: thin; errors become one line and an exit code here alone."""
 
 import io
-import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -49,6 +48,7 @@ from ovmot.cli.options import (
     preset_lines,
 )
 from ovmot.ros.bag_output import BagOutput
+from ovmot.runtime import take_signals_as_interrupts
 
 app = typer.Typer(
     name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -59,9 +59,10 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; errors meant for the user become one line and an exit code.
 
-    A polite request to end (SIGTERM) is taken as Ctrl-C: what was done is kept, and said.
+    A polite request to end and a terminal that is closed are taken as Ctrl-C: what was done is
+    kept, and said.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    take_signals_as_interrupts()
     warnings.showwarning = say_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -172,7 +173,8 @@ def run(
         given.mask_files, threads,
     )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    compile_where(first_use)
+    with interruptible(NOTHING_WRITTEN):
+        compile_where(first_use)
     with (
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,

@@ -21,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 import ovmot
+from ovmot.errors import is_interrupt
 from ovmot.kernels.cache import is_first_use
 
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
@@ -76,7 +77,9 @@ def interruptible(what_is_left: str) -> Iterator[None]:
     """Say what Ctrl-C leaves and exit; here, since Typer would swallow it without a word."""
     try:
         yield
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if not is_interrupt(error):
+            raise
         say(f"ovmot: interrupted; {what_is_left}")
         raise typer.Exit(EXIT_INTERRUPTED) from None
 

@@ -2,27 +2,41 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.sequence import RecordedSequence, StoredPair, covered_frames
+from ovmot.geometry.arrays import IntArray
 from ovmot.settings import RecordingSettings
 from ovmot.types import ImuData
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrectedSequence(RecordedSequence):
-    """A sequence that reads its images from `base`, from `first_frame` of it on; left and right
-    are exchanged where `exchanged`."""
+    """A sequence that reads its images from `base`: frame i is its frame `at[i]`, rising; left and
+    right are exchanged where `exchanged`."""
 
     base: RecordedSequence
-    first_frame: int
+    at: IntArray
     exchanged: bool
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
-        for left, right in self.base.pairs(first + self.first_frame, stop + self.first_frame):
-            yield (right, left) if self.exchanged else (left, right)
+        if first >= stop:
+            return
+        wanted = set(self.at[first:stop].tolist())
+        begin, end = int(self.at[first]), int(self.at[stop - 1]) + 1
+        for k, (left, right) in enumerate(self.base.pairs(begin, end), start=begin):
+            if k in wanted:
+                yield (right, left) if self.exchanged else (left, right)
+
+    def of_pairs(self) -> Self:
+        keep = self.complete
+        return replace(
+            self, frame_ns=self.frame_ns[keep], frame_number=self.frame_number[keep], missing={},
+            at=self.at[keep],
+        )  # fmt: skip
 
 
 def corrected(sequence: RecordedSequence, settings: RecordingSettings) -> RecordedSequence:
@@ -54,10 +68,17 @@ def corrected(sequence: RecordedSequence, settings: RecordingSettings) -> Record
         "frame_number": sequence.frame_number[keep],
         "warnings": (*sequence.warnings, *findings.warnings),
         "counts": counts,
+        "missing": _missing(sequence, keep, settings.exchange_cameras),
     }
     return CorrectedSequence(
         **{**same, **changed},
         base=sequence,
-        first_frame=int(keep[0]) if len(keep) else 0,
+        at=keep,
         exchanged=settings.exchange_cameras,
     )
+
+
+def _missing(sequence: RecordedSequence, keep: IntArray, exchanged: bool) -> dict[int, int]:
+    """The camera that gave no image, by the index of the frame among those kept."""
+    of_base = ((i, sequence.missing.get(int(k))) for i, k in enumerate(keep))
+    return {i: 1 - side if exchanged else side for i, side in of_base if side is not None}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.findings import Findings, rising
 from ovmot.datasets.images import SUFFIXES
 from ovmot.datasets.text_tables import StampedNames, is_stamp
 from ovmot.errors import DatasetError
@@ -157,19 +157,11 @@ def numbered_images(folder: Path) -> dict[int, Path]:
 
 
 def checked_stamps(listed: StampedNames, findings: Findings) -> dict[int, str]:
-    """Listed stamps and names, equal stamps once; raises `DatasetError` if time runs backwards."""
-    steps = np.diff(listed.timestamp_ns)
-    if np.any(steps < 0):
-        row = int(listed.row[int(np.argmax(steps < 0)) + 1])
-        problem = "the stamp lies before that of the row above"
-        raise DatasetError.at(listed.path, problem, "sort the file by time", row=row)
-    doubles = int(np.count_nonzero(steps == 0))
-    text = f"{listed.path}: {doubles} frames with the stamp of the one before: dropped"
-    findings.note("duplicate_frames", doubles, text)
-    out: dict[int, str] = {}
-    for stamp, name in zip(listed.timestamp_ns, listed.names, strict=True):
-        out.setdefault(int(stamp), name)
-    return out
+    """Listed stamps and names, without rows whose stamp does not follow all above; these are
+    counted. Raises `DatasetError` where most do not."""
+    fresh = rising(listed.timestamp_ns, listed.row, listed.path, "frames", findings)
+    kept = np.flatnonzero(fresh).tolist()
+    return {int(listed.timestamp_ns[k]): listed.names[k] for k in kept}
 
 
 def present_images(

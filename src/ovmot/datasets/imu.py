@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.findings import Findings
+from ovmot.datasets.findings import Findings, rising
 from ovmot.datasets.text_tables import StampedTable, ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import IntArray
@@ -22,21 +22,14 @@ _LEAST_INTERVAL_NS = 30_000  # an IMU of 33 kHz; microseconds of one above 33 Hz
 def checked_imu(
     table: StampedTable, gyro_first: int, accel_first: int, max_gap_s: float, findings: Findings
 ) -> ImuData:
-    """IMU samples of a table, in time order, equal stamps once.
+    """IMU samples of a table, in time order: each has a later stamp than all rows above.
 
-    `gyro_first`, `accel_first`: columns of the values where each triple begins. Gaps longer than
-    `max_gap_s` and units that look wrong become counted warnings. Raises `DatasetError` with the
-    row where stamps run backwards or a value is absurd, and for stamps that are no nanoseconds.
+    `gyro_first`, `accel_first`: columns of the values where each triple begins. Rows left out, gaps
+    longer than `max_gap_s` and units that look wrong become counted warnings. Raises `DatasetError`
+    with the row where a value is absurd or most stamps do not rise, and for stamps that are no
+    nanoseconds.
     """
-    steps = np.diff(table.timestamp_ns)
-    if np.any(steps < 0):
-        row = int(table.row[int(np.argmax(steps < 0)) + 1])
-        problem = "the stamp lies before that of the row above"
-        raise DatasetError.at(table.path, problem, "sort the file by time", row=row)
-    doubles = int(np.count_nonzero(steps == 0))
-    text = f"{table.path}: {doubles} IMU rows with the stamp of the row above: dropped"
-    findings.note("imu_duplicates", doubles, text)
-    fresh = np.concatenate([[True], steps > 0])
+    fresh = rising(table.timestamp_ns, table.row, table.path, "imu", findings)
     imu = ImuData(
         table.timestamp_ns[fresh],
         table.values[fresh, gyro_first : gyro_first + 3],

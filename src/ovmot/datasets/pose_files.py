@@ -1,13 +1,14 @@
 """Trajectories and poses as files: TUM, KITTI and EuRoC rows, read, written and interpolated."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from ovmot.datasets.text_tables import (
+    Lines,
     column_count,
     ns_to_seconds,
     read_lines,
@@ -17,6 +18,7 @@ from ovmot.datasets.text_tables import (
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.text_files import read_text
 
 _NS = 1_000_000_000
 MAX_POSE_GAP_S = 0.15
@@ -71,7 +73,19 @@ def read_tum(path: Path) -> Trajectory:
     Raises `InputError` for an unreadable row, stamps that run backwards or a quaternion that is
     not of unit length.
     """
+    return _tum_trajectory(path, read_lines(path, InputError))
+
+
+def read_written_tum(path: Path) -> Trajectory:
+    """The same of a file that a run has written: a last row without its end was torn when the run
+    was killed, and is left out."""
     lines = read_lines(path, InputError)
+    if lines.text and not read_text(path, InputError).endswith("\n"):
+        lines = replace(lines, text=lines.text[:-1], row=lines.row[:-1])
+    return _tum_trajectory(path, lines)
+
+
+def _tum_trajectory(path: Path, lines: Lines) -> Trajectory:
     values = lines.parse(np.dtype(np.float64), 8, None)
     try:
         stamps = [seconds_to_ns(text.split(None, 1)[0]) for text in lines.text]

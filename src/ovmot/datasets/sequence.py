@@ -80,7 +80,11 @@ class RecordedSequence(ABC):
         return chosen if self.preset is None else self.preset.under(chosen)
 
     def __iter__(self) -> Iterator[Event]:
-        return events(self)
+        return self.events()
+
+    def events(self, first: int = 0, last: int | None = None) -> Generator[Event, None, None]:
+        """IMU samples and frames `first` to `last` (included) as events: see `stream.events`."""
+        return events(self, first=first, last=last)
 
     @abstractmethod
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:

@@ -1,7 +1,9 @@
 """`run.json`: the inputs of a run, its counts, and how it ended."""
 
 import contextlib
+import functools
 import json
+import os
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -20,6 +22,9 @@ from ovmot.types import ImuNoise
 
 RUN_JSON = "run.json"
 PARTIAL_RUN_JSON = "run.json.part"
+RUNNING = "running"
+"""What `ended` says until the run has ended; where nothing runs any more, it was killed."""
+_RESERVED_BYTES = 65_536  # several times what run.json needs
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +49,8 @@ class RunSummary:
     `counts` by name (frames_in, frames_written, imu_samples, resets, frames_dropped, ...);
     `not_started_because`: the last reason for which the ego motion could not start at a frame, None
     where it always could. `warnings` says how often each was given; `ended` is `finished`,
-    `interrupted` or `failed: <message>`; `wall_seconds` is how long it took.
+    `interrupted`, `failed: <message>` or, until then, `running`; `wall_seconds` is how long it has
+    taken.
     """
 
     settings: Settings
@@ -60,20 +66,25 @@ class RunSummary:
     preset: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.ended not in ("finished", "interrupted") and not self.ended.startswith("failed: "):
+        endings = ("finished", "interrupted", RUNNING)
+        if self.ended not in endings and not self.ended.startswith("failed: "):
             raise ValueError(f"not a way for a run to end: {self.ended!r}")
 
 
 def write_run_json(folder: Path, summary: RunSummary) -> None:
-    """Write `run.json` into `folder` in one step: it is there whole, or as it was before.
+    """Write `run.json` into `folder` in one move: it is there whole, or as it was before.
 
-    Raises `OvmotError` with the file's name where it cannot be written.
+    What it needs on the disk may have been reserved before (`reserve_run_json`). Raises
+    `OvmotError` with the file's name where it cannot be written.
     """
     path, partial = folder / RUN_JSON, folder / PARTIAL_RUN_JSON
     text = json.dumps(_as_json(summary), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    # a path need not be UTF-8; what it is written as then is JSON's own escape
+    data = text.encode("utf-8", errors="backslashreplace")
     try:
-        # a path need not be UTF-8; what it is written as then is JSON's own escape
-        partial.write_text(text, encoding="utf-8", errors="backslashreplace")
+        with partial.open("r+b" if partial.exists() else "wb") as file:
+            file.write(data)
+            file.truncate()
         partial.replace(path)
     except OSError as error:
         with contextlib.suppress(OSError):
@@ -81,6 +92,25 @@ def write_run_json(folder: Path, summary: RunSummary) -> None:
         raise OvmotError(f"{path}: cannot be written: {error.strerror}") from None
 
 
+def reserve_run_json(folder: Path) -> bool:
+    """Take the room on the disk that the next `write_run_json` needs: True where it is there.
+
+    So `run.json` can tell how a run ended also when the disk is full.
+    """
+    partial = folder / PARTIAL_RUN_JSON
+    if partial.exists():
+        return True
+    try:
+        with partial.open("xb") as file:
+            os.posix_fallocate(file.fileno(), 0, _RESERVED_BYTES)
+    except OSError:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        return False
+    return True
+
+
+@functools.cache
 def versions() -> dict[str, str]:
     """Versions of ovmot and of all that its numbers depend on."""
     return {

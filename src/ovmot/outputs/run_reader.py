@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.datasets.pose_files import read_tum
+from ovmot.datasets.pose_files import read_written_tum
 from ovmot.errors import InputError
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 
@@ -136,7 +136,7 @@ def read_ego_run(run: Path) -> EgoRun:
         raise InputError.at(
             run, "is not a run: it holds no trajectory.tum", "give the output folder of 'ovmot run'"
         )
-    trajectory = read_tum(path)
+    trajectory = read_written_tum(path)
     stamps = trajectory.timestamp_ns
     state = _columns_at(run / "state.csv", (*_VELOCITY, *_BIASES, *_SIGMAS), stamps)
     upper = _columns_at(run / "covariance.csv", _COVARIANCE, stamps)
@@ -276,8 +276,9 @@ def _columns_at(path: Path, columns: tuple[str, ...], stamps: IntArray) -> Float
 
 
 def _rows(path: Path) -> Iterator[list[str]]:
+    """The rows of a table; a last one without its end was torn when the run was killed."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            yield from csv.reader(file)
+            yield from csv.reader(line for line in file if line.endswith("\n"))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError.at(path, f"cannot be read as a table: {error}", REMEDY) from None

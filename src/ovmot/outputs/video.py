@@ -1,6 +1,5 @@
 """`overlay.mp4`: both overlays of every frame, encoded in the background."""
 
-import contextlib
 import queue
 import threading
 from fractions import Fraction
@@ -26,6 +25,7 @@ _TICKS_PER_S = 90_000
 _NS_PER_S = 1_000_000_000
 _WAITING_FRAMES = 8
 _BT601, _LIMITED_RANGE = 6, 1  # what `COLOR_BGR2YUV_I420` makes; numbers of ITU-T H.273
+_FRAGMENTED = "+frag_keyframe+delay_moov+default_base_moof"
 _OPTIONS = {"preset": "superfast", "crf": "23"}
 
 
@@ -96,11 +96,8 @@ class OverlayVideo:
         try:
             self._encode_all()
         except (OSError, av.error.FFmpegError) as error:
-            with contextlib.suppress(OSError):
-                self._path.unlink(missing_ok=True)  # without its index it can not be played
             self._failure = OvmotError(
-                f"{self._path}: cannot write the video: {error.strerror or error};"
-                " the unfinished file was removed"
+                f"{self._path}: cannot write the video: {error.strerror or error}"
             )
         except Exception as error:
             self._failure = error
@@ -135,12 +132,17 @@ class OverlayVideo:
 
 
 class _Encoder:
-    """An H.264 file that browsers play; each frame is shown at its own time."""
+    """An H.264 file that browsers play; each frame is shown at its own time.
+
+    It is written in fragments of 30 frames, each with its index, so that what is there can be
+    played however the run ends.
+    """
 
     def __init__(self, path: Path, width: int, height: int, gap_ns: int) -> None:
         rate = Fraction(_NS_PER_S, max(gap_ns, _NS_PER_S // 240)).limit_denominator(1001)
+        self._file = path.open("wb")  # of our own: libav says nothing of a full disk
         self._container = av.open(
-            str(path), "w", format="mp4", container_options={"movflags": "+faststart"}
+            self._file, "w", format="mp4", container_options={"movflags": _FRAGMENTED}
         )
         stream = self._container.add_stream("libx264", rate=rate, options=_OPTIONS)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
@@ -163,7 +165,9 @@ class _Encoder:
         self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        try:
-            self._container.mux(self._stream.encode(None))
-        finally:
-            self._container.close()
+        """Encode what the encoder holds back and end the file; raises where that fails."""
+        with self._file:
+            try:
+                self._container.mux(self._stream.encode(None))
+            finally:
+                self._container.close()

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, StereoHistory, keep_window, share_clone
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
 from ovmot.types import (
@@ -46,7 +46,8 @@ class MsckfFilter:
 
     `state`: estimate and covariance; `rig`: that of the calibration files; `noise`: of the IMU;
     `stationary`: was zero velocity detected at the newest frame? `updated_ns`: stamp of the newest
-    frame that an update used, None before the first one.
+    frame that an update used, None before the first one; `unmeasured_s`: for how long before the
+    newest frame there was neither IMU nor frame.
     """
 
     state: State
@@ -55,6 +56,7 @@ class MsckfFilter:
     settings: Settings
     stationary: bool = False
     updated_ns: int | None = None
+    unmeasured_s: float = 0.0
 
     def imu_time_ns(self, frame_ns: int) -> int:
         """A frame's time on the IMU's clock, by the present time offset."""
@@ -86,23 +88,34 @@ class MsckfFilter:
 
         Raises `DatasetError` where `imu` does not reach the frame's time.
         """
-        state, rate = self._propagated(self.imu_time_ns(frame_ns), imu)
-        return replace(self, state=clone_pose(state, frame_ns, rate))
+        state, rate, unmeasured_s = self._propagated(self.imu_time_ns(frame_ns), imu)
+        return replace(self, state=clone_pose(state, frame_ns, rate), unmeasured_s=unmeasured_s)
 
-    def _propagated(self, end_ns: int, imu: ImuBuffer) -> tuple[State, FloatArray]:
-        """The state at a time on the IMU's clock, and the angular velocity (3,), rad/s, there."""
+    def _propagated(self, end_ns: int, imu: ImuBuffer) -> tuple[State, FloatArray, float]:
+        """The state at a time on the IMU's clock; the angular velocity (3,), rad/s, there; and the
+        seconds of the way there that nothing has measured (`_unmeasured_s`)."""
         if end_ns == self.state.timestamp_ns:
-            return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias
+            return self.state, imu.at(end_ns).gyro - self.state.imu.gyro_bias, 0.0
         # a frame is found covered by an older time offset: by its change, a part may be missing
         held_ns = round(1e9 * self.settings.imu.max_gap_s)
         samples = imu.between(self.state.timestamp_ns, end_ns, held_ns=held_ns)
-        result = self._integrated(self.state.imu, self.state.imu_first, samples, imu)
-        return propagate(self.state, result, end_ns), result.angular_velocity
+        spacing_s = imu.spacing_s(samples)
+        in_gap = spacing_s > self.settings.imu.max_gap_s
+        unmeasured_s = _unmeasured_s(samples, spacing_s, in_gap)
+        result = self._integrated(
+            self.state.imu, self.state.imu_first, samples, in_gap, unmeasured_s
+        )
+        return propagate(self.state, result, end_ns), result.angular_velocity, unmeasured_s
 
     def _integrated(
-        self, start: ImuState, start_first: ImuState, samples: ImuData, imu: ImuBuffer
+        self,
+        start: ImuState,
+        start_first: ImuState,
+        samples: ImuData,
+        in_gap: BoolArray,
+        unmeasured_s: float,
     ) -> Propagation:
-        """The propagation of an IMU state, and of its first estimate, over an interval of `imu`."""
+        """The propagation of an IMU state, and of its first estimate, over an interval."""
         return propagate_imu(
             start,
             start_first,
@@ -110,8 +123,9 @@ class MsckfFilter:
             self.noise,
             self.settings.filter.gravity_mps2,
             INTEGRATORS[self.settings.filter.integration],
-            imu.spacing_s(samples) > self.settings.imu.max_gap_s,
+            in_gap,
             self.state.calibration,
+            unmeasured_s / np.sqrt(3.0),  # uniform from none to all
         )
 
     def update(
@@ -180,6 +194,8 @@ class MsckfFilter:
         sigma = np.sqrt(self.state.covariance.diagonal()[VELOCITY].max())
         if since_update_s > limits.lost_after_s or sigma > limits.lost_velocity_sigma_mps:
             return Health.LOST
+        if self.unmeasured_s > limits.lost_after_gap_s:
+            return Health.LOST
         return Health.DEGRADED if since_update_s > limits.degraded_after_s else Health.TRACKING
 
     def placed(self, T_world_imu: FloatArray) -> "MsckfFilter":
@@ -206,12 +222,13 @@ class MsckfFilter:
         for k in range(len(T)):
             position = slice(state.clone_columns(k).start + 3, state.clone_columns(k).stop)
             G[position, position] = R_new_old
+        covariance = G @ state.covariance @ G.T
         placed = replace(
             state,
             imu=imu,
             imu_first=imu,
             clones=Clones(state.clones.timestamp_ns, T_new_old @ T, T_new_old @ T),
-            covariance=G @ state.covariance @ G.T,
+            covariance=0.5 * (covariance + covariance.T),
         )
         return replace(self, state=placed)
 
@@ -249,6 +266,17 @@ class MsckfFilter:
             return None
         own = self.state.calibration_columns
         return calibration_estimate(self.rig, calibration, self.state.covariance[own, own])
+
+
+def _unmeasured_s(samples: ImuData, spacing_s: FloatArray, in_gap: BoolArray) -> float:
+    """Seconds of gaps of the IMU that lie for the greater part between two frames.
+
+    The frames have that gap as well, and the clock may have been set: all of this time may have
+    passed, or none. `spacing_s` (n,) are the distances of the samples measured around the pairs of
+    `samples` (n + 1), `in_gap` (n,) the pairs in a gap.
+    """
+    length_s = 1e-9 * np.diff(samples.timestamp_ns)
+    return float(length_s[in_gap & (length_s > 0.5 * spacing_s)].sum())
 
 
 def with_online_calibration(state: State, rig: StereoRig, settings: Settings) -> State:

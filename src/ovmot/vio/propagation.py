@@ -26,6 +26,7 @@ from ovmot.vio.propagation_kernel import (
     propagate_covariance_compiled,
 )
 from ovmot.vio.state import (
+    N_IMU,
     POSITION,
     THETA,
     TIME_OFFSET,
@@ -62,12 +63,14 @@ def propagate_imu(
     integrator: Integrator,
     in_gap: BoolArray | None = None,
     calibration: OnlineCalibration = _NO_CALIBRATION,
+    unsure_s: float = 0.0,
 ) -> Propagation:
     """Integrate `samples` (n + 1), whose first and last stamps are the interval's ends.
 
     `imu`, `imu_first`: latest and first estimate at the start; `gravity` in m/s². `in_gap` (n,)
     marks the pairs that lie in a gap of the stream: what was interpolated there was not measured,
-    and its noise is that of a vehicle's motion.
+    and its noise is that of a vehicle's motion. `unsure_s`: standard deviation of the interval's
+    length, where the clock may have been set.
 
     Φ maps the error at the start to the end; its rotation columns are written by the estimates at
     both ends, the start taken at the first estimates (J. Hesch et al., TRO 2014), so that
@@ -88,6 +91,8 @@ def propagate_imu(
     end = ImuState(T[:3, :3].copy(), T[:3, 3].copy(), velocity, imu.gyro_bias, imu.accel_bias)
     g = np.array([0.0, 0.0, -gravity])
     transition = _with_first_estimates(transition, imu_first, end, float(dt.sum()), g)
+    if unsure_s > 0.0:
+        covariance = covariance + _length_noise(gyro.mean(axis=0), imu.velocity, unsure_s)
     return Propagation(end, transition, covariance, gyro[-1])
 
 
@@ -152,6 +157,14 @@ def _white_noise(noise: ImuNoise, in_gap: BoolArray | None, n: int) -> FloatArra
     if in_gap is not None and in_gap.any():
         out[in_gap] = _vehicle_noise(YAW_RATE_SIGMA_RPS) ** 2, _vehicle_noise(ACCEL_SIGMA_MPS2) ** 2
     return out
+
+
+def _length_noise(angular_velocity: FloatArray, velocity: FloatArray, sigma_s: float) -> FloatArray:
+    """Covariance (15, 15) by an interval whose length has a standard deviation of `sigma_s`: the
+    pose moves by (ω, v) times the length's error. `angular_velocity` (3,) in the body, rad/s."""
+    moved = np.zeros(N_IMU)
+    moved[THETA], moved[POSITION] = sigma_s * angular_velocity, sigma_s * velocity
+    return np.outer(moved, moved)
 
 
 def _vehicle_noise(sigma: float) -> float:

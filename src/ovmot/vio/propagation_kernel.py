@@ -243,8 +243,9 @@ def clone_covariance(P: FloatArray, by_offset: FloatArray, at: int, time_offset:
         for k in range(_POSE):
             out[row, at + k] = out[at + k, row] = pose[k, i]
     for i in range(_POSE):
-        for j in range(_POSE):
-            out[at + i, at + j] = pose[i, j] + pose[i, time_offset] * by_offset[j]
+        for j in range(i + 1):  # equal on both sides, also in the last digit
+            value = pose[i, j] + pose[i, time_offset] * by_offset[j]
+            out[at + i, at + j] = out[at + j, at + i] = value
     return out
 
 
