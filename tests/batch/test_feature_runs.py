@@ -168,7 +168,8 @@ def lively_path(seconds: float) -> PoseSpline:
 
 @pytest.mark.slow
 def test_what_the_motion_cannot_show_stays_as_unsure_as_it_was(tmp_path: Path) -> None:
-    """Straight on at constant speed: the accelerometer's scales are not observable."""
+    """Straight on at constant speed: neither the accelerometer's scales nor where the camera is on
+    the IMU, nor the length of the baseline."""
     t = np.arange(-1.0, 9.0, 0.05)
     p = np.stack([2.0 * t, np.zeros_like(t), np.zeros_like(t)], axis=-1)
     path = PoseSpline.through(
@@ -180,12 +181,43 @@ def test_what_the_motion_cannot_show_stays_as_unsure_as_it_was(tmp_path: Path) -
         ImuModel(200.0, EUROC_NOISE, np.full(3, 2e-3), np.full(3, 3e-2)),
         FeatureOptions(n_features=100),
     )  # fmt: skip
-    settings = load_settings(None, ["calibration.imu_intrinsics=true"])
+    settings = load_settings(
+        None, ["calibration.imu_intrinsics=true", "calibration.extrinsics=true"]
+    )
     run_features(FeatureRecording(simulation, 2), settings, RunOptions(tmp_path / "out"))
     with (tmp_path / "out" / "calibration.csv").open() as file:
         rows = list(csv.DictReader(file))
-    names = ("gyro_matrix_00", "gyro_matrix_11", "gyro_matrix_22", "accel_matrix_11")
+    names = (
+        "gyro_matrix_00", "gyro_matrix_11", "gyro_matrix_22", "accel_matrix_11",
+        "cam0_pose_x", "cam0_pose_y", "cam0_pose_z", "stereo_length",
+    )  # fmt: skip
     for name in names:
         first, last = float(rows[0][f"std_{name}"]), float(rows[-1][f"std_{name}"])
         assert last > 0.9 * first, name
         assert abs(float(rows[-1][name])) < 3.0 * last
+
+
+@pytest.mark.slow
+def test_a_rig_that_turns_about_the_vertical_does_not_show_its_cameras_height(
+    tmp_path: Path,
+) -> None:
+    """With one axis of rotation the lever arm along it drops out of all measurements."""
+    t = np.arange(-1.0, 11.0, 0.05)
+    yaw = 0.8 * np.sin(0.8 * t)
+    p = np.stack([3.0 * t, np.sin(0.8 * t), np.zeros_like(t)], axis=-1)
+    R = so3.exp(yaw[:, None] * [0.0, 0.0, 1.0])
+    path = PoseSpline.through(ORIGIN_NS + np.round(1e9 * t).astype(np.int64), se3.make(R, p))
+    simulation = FeatureSimulation(
+        handheld_rig(), path, ORIGIN_NS + 100_000_000 * np.arange(95),
+        ImuModel(200.0, EUROC_NOISE, np.full(3, 2e-3), np.full(3, 3e-2)),
+        FeatureOptions(n_features=100),
+    )  # fmt: skip
+    settings = load_settings(None, ["calibration.extrinsics=true"])
+    run_features(FeatureRecording(simulation, 2), settings, RunOptions(tmp_path / "out"))
+    found = read_calibration(tmp_path / "out")
+    assert found is not None
+    shrunk = dict(zip(found.names, found.sigma[-1] / found.sigma[0], strict=True))
+    assert shrunk["cam0_pose_z"] > 0.99
+    assert shrunk["stereo_length"] > 0.9
+    assert shrunk["cam0_pose_rx"] < 0.5
+    assert shrunk["stereo_ry"] < 0.3

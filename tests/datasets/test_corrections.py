@@ -54,6 +54,7 @@ def test_a_time_offset_leaves_the_frames_that_the_imu_covers(euroc: Path) -> Non
     assert moved.counts["frames_outside_imu"] == 1 + sequence.counts.get("frames_outside_imu", 0)
     (left, right), *_ = moved.pairs(0, 1)
     (same, _), *_ = sequence.pairs(1, 2)
+    assert left is not None and right is not None and same is not None
     assert left.where == same.where != right.where
     with pytest.raises(DatasetError, match="do not overlap"):
         corrected(sequence, RecordingSettings(time_offset_s=90.0))

@@ -86,10 +86,12 @@ def test_images_that_lie() -> None:
     assert left("black_images", 15) == [0] * 4
     assert left("white_images", 15) == [255] * 4
     assert left("overexposed_images", 15) == [45] * 4
-    assert frames(spoilt("overexposed_images"))[15].right.max() == 255
+    assert frames(spoilt("overexposed_images"))[15].pair[1].max() == 255
     assert left("underexposed_images", 10) == [3] * 4
-    assert frames(spoilt("left_gone"))[15].left is None
-    assert frames(spoilt("right_gone"))[15].right is None
+    for name, side in (("left_gone", 0), ("right_gone", 1)):
+        frame = frames(spoilt(name))[15]
+        assert frame.missing == (side,)
+        assert frame.pair[side].max() == 0 < frame.pair[1 - side].max()
 
 
 def test_features_of_one_camera_and_of_none() -> None:

@@ -16,8 +16,10 @@ from ovmot.sim.imu import perfect_imu
 from ovmot.types import ImuNoise
 from ovmot.vio.integrators import INTEGRATORS
 from ovmot.vio.online_calibration import (
+    MOUNT,
     OnlineCalibration,
     calibrated_rig,
+    calibration_estimate,
     correct_imu,
     imu_intrinsics,
     imu_sensitivity,
@@ -144,3 +146,64 @@ def test_propagation_by_the_calibration(
             result.transition[rows, N_BASE:], expected[rows],
             atol=3e-3 * np.abs(expected[rows]).max(),
         )  # fmt: skip
+
+
+EXTRINSICS = CalibrationSettings(extrinsics=True, intrinsics=True)
+
+
+def test_the_right_camera_moves_with_the_mount(rig: StereoRig) -> None:
+    calibration, _ = make_calibration(rig, EXTRINSICS)
+    mount = calibration.columns(MOUNT)
+    assert mount is not None
+    deviation = np.zeros(len(calibration))
+    deviation[mount] = [0.01, -0.02, 0.005, 0.01, 0.02, -0.01]
+    moved = calibrated_rig(rig, calibration.plus(deviation))
+    assert np.abs(moved.T_imu_cam1 - rig.T_imu_cam1).max() > 0.01
+    np.testing.assert_allclose(moved.T_cam1_cam0, rig.T_cam1_cam0, atol=1e-14)
+
+
+def test_the_stereo_pose_leaves_the_left_camera(rig: StereoRig) -> None:
+    """And its coordinate `length` is that of the baseline."""
+    calibration, _ = make_calibration(rig, EXTRINSICS)
+    deviation = np.zeros(len(calibration))
+    deviation[calibration.names().index("stereo_length")] = 0.004
+    moved = calibrated_rig(rig, calibration.plus(deviation))
+    np.testing.assert_array_equal(moved.T_imu_cam0, rig.T_imu_cam0)
+    assert moved.baseline == pytest.approx(rig.baseline + 0.004)
+    axes = calibration.baseline_axes
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
+
+
+def test_the_baseline_is_known_best(rig: StereoRig) -> None:
+    calibration, variance = make_calibration(rig, EXTRINSICS)
+    sigma = dict(zip(calibration.names(), np.sqrt(variance), strict=True))
+    assert sigma["stereo_length"] == pytest.approx(1e-3 * rig.baseline)
+    assert sigma["stereo_length"] < sigma["stereo_down"] < sigma["cam0_pose_x"]
+    assert sigma["stereo_rx"] < sigma["cam0_pose_rx"]
+
+
+def test_the_estimate_has_the_right_camera_on_the_imu(
+    rig: StereoRig, central_differences: Derivative
+) -> None:
+    calibration = deviating(rig)
+    n = len(calibration)
+    L = 1e-3 * np.random.default_rng(7).normal(0.0, 1.0, (n, n))
+    found = calibration_estimate(rig, calibration, L @ L.T)
+    right = [f"cam1_pose_{label}" for label in ("rx", "ry", "rz", "x", "y", "z")]
+    assert list(found.names[6:12]) == right
+    assert found.names[-1] == "stereo_forward"
+    assert sorted(found.names) == sorted([*calibration.names(), *right])
+    value = dict(zip(found.names, found.deviation, strict=True))
+    own = [value[name] for name in calibration.names()]
+    np.testing.assert_array_equal(own, calibration.deviation)
+
+    def pose(error: FloatArray) -> FloatArray:
+        T = calibrated_rig(rig, calibration.plus(error)).T_imu_cam1
+        turn = so3.log(rig.T_imu_cam1[:3, :3].T @ T[:3, :3])
+        return np.concatenate([turn, T[:3, 3] - rig.T_imu_cam1[:3, 3]])
+
+    np.testing.assert_allclose([value[name] for name in right], pose(np.zeros(n)))
+    J = central_differences(pose, np.zeros(n))
+    sigma = dict(zip(found.names, found.std, strict=True))
+    expected = np.sqrt(np.diag(J @ L @ L.T @ J.T))
+    np.testing.assert_allclose([sigma[name] for name in right], expected, rtol=1e-5)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Self
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class FaultySequence(RecordedSequence):
 
     def pairs(self, first: int, stop: int) -> Generator[StoredPair, None, None]:
         return self.inner.pairs(first, stop)
+
+    def of_pairs(self) -> Self:
+        return replace(self, inner=self.inner.of_pairs())
 
     def events(self, first: int = 0, last: int | None = None) -> Generator[Event, None, None]:
         stored = self.inner.events(first, last)
@@ -146,9 +149,8 @@ def torn_images(events: Iterable[Event], span: Span, rng: np.random.Generator) -
     last: StereoFrame | None = None
     for event in events:
         if isinstance(event, StereoFrame) and event.timestamp_ns in span and last is not None:
-            torn = replace(
-                event, left=_torn(last.left, event.left), right=_torn(last.right, event.right)
-            )
+            (old_left, old_right), (left, right) = last.pair, event.pair
+            torn = replace(event, left=_torn(old_left, left), right=_torn(old_right, right))
             last = event
             yield torn
         else:
@@ -173,7 +175,8 @@ def _images_changed(
             elif isinstance(event, FeatureFrame):
                 yield _seen(event, pixels(event.pixels))
             else:
-                yield replace(event, left=image(event.left), right=image(event.right))
+                left, right = event.pair
+                yield replace(event, left=image(left), right=image(right))
 
     return fault
 
@@ -208,12 +211,15 @@ def right_gone(events: Iterable[Event], span: Span, rng: np.random.Generator) ->
 
 
 def _without_camera(side: str, events: Iterable[Event], span: Span) -> Iterator[Event]:
-    no_image: dict[str, Any] = {side: None}
     for event in events:
         if isinstance(event, ImuSample) or event.timestamp_ns not in span:
             yield event
         elif isinstance(event, StereoFrame):
-            yield replace(event, **no_image)
+            left, right = event.pair
+            if side == "left":
+                yield replace(event, left=np.zeros_like(left), missing=(0,))
+            else:
+                yield replace(event, right=np.zeros_like(right), missing=(1,))
         else:
             pixels = event.pixels.copy()
             pixels[:, slice(0, 2) if side == "left" else slice(2, 4)] = np.nan
