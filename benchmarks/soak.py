@@ -38,6 +38,8 @@ PERIOD_NS = 20_000_000_000
 _BEGIN_S, _SHORTEST_S, _LONGEST_S, _CAMERA_GONE_S = 5.0, 0.3, 3.0, 5.0
 _WELL_AFTER_S, _LOOKED_AT_S = 3.0, 2.0
 _SPEED_ERROR_MPS = 0.3
+_SWING_S = 40.0  # two periods: each third of a long run has the same of all
+_KNOT_S = 0.01  # of a path that vibrates
 _LEAST_EIGENVALUE = -1e-9  # of correlations: a new clone is a copy of the pose, but for rounding
 _FLAT = 0.05
 _JUMPS_S = {"clock_forward": 0.5, "clock_far_forward": 3600.0, "clock_back": -0.5}
@@ -53,7 +55,7 @@ SOURCES = {
 @dataclass
 class Soak:
     """What was noticed: per fault how often it came and how often it was not well after it; per
-    period the resident memory (bytes) and the median CPU time of a frame (s)."""
+    20 s of data the resident memory (bytes) and the median CPU time of a frame (s)."""
 
     faults: Counter[str] = field(default_factory=Counter)
     not_well: Counter[str] = field(default_factory=Counter)
@@ -210,8 +212,8 @@ def up_and_down(minutes: float, seed: int) -> Simulation:
     """The traffic scene with a time that swings between its 6th and its 22nd second."""
     whole = make_simulation(load_scene("traffic"), seed=seed, size=(320, 140), duration_s=25.0)
     start_ns = int(whole.camera_ns[0])
-    t = np.arange(-2.0, 60.0 * minutes + 2.0, 0.05)
-    swung = 14.0 - 8.0 * np.cos(2.0 * np.pi * t / 60.0)
+    t = np.arange(-2.0, 60.0 * minutes + 2.0, _KNOT_S)
+    swung = 14.0 - 8.0 * np.cos(2.0 * np.pi * t / _SWING_S)
     stamps, then = (start_ns + np.round(1e9 * s).astype(np.int64) for s in (t, swung))
 
     def swinging(path: PoseSpline) -> PoseSpline:

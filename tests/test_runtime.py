@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from functools import partial
 
 import pytest
@@ -94,6 +95,15 @@ def test_what_a_job_raises_comes_through() -> None:
             do_together([fail, fail], helper)
 
 
+@pytest.fixture
+def sigint() -> Iterator[None]:
+    """SIGINT as Python has it; where a shell runs the tests in the background, it is ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("sigint")
 def test_signals_are_held_until_it_is_asked() -> None:
     before = signal.getsignal(signal.SIGINT)
     with HeldInterrupts() as interrupts:
@@ -105,6 +115,7 @@ def test_signals_are_held_until_it_is_asked() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.usefixtures("sigint")
 def test_a_second_signal_is_not_held_but_at_the_end() -> None:
     with HeldInterrupts() as interrupts:
         signal.raise_signal(signal.SIGINT)

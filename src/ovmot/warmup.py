@@ -52,9 +52,10 @@ def warm_up() -> None:
                 what = " and ".join(names)
                 raise OvmotError(f"kernels of the {what} could not be compiled: {last}")
     finally:
-        for job in jobs.values():  # after an error or Ctrl-C
-            job.kill()
-            job.communicate()
+        for job in jobs.values():
+            if job.poll() is None:  # after an error or Ctrl-C
+                job.kill()
+                job.communicate()
 
 
 def call(names: tuple[str, ...]) -> None:
