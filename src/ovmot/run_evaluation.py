@@ -5,10 +5,13 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 
+from ovmot.datasets.find_truth import find_ego_truth, find_object_truth
+from ovmot.datasets.pose_files import Trajectory, interpolate_poses
 from ovmot.datasets.registry import open_sequence
-from ovmot.datasets.truth import EgoTruth, ObjectTruth, read_ego_truth, read_object_truth
+from ovmot.datasets.truth import EgoTruth, ObjectTruth
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluation.calibration import CalibrationErrors, calibration_scalars
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
@@ -24,9 +27,10 @@ from ovmot.evaluation.objects import (
 from ovmot.evaluation.stereo_gate import GateCounts, count_gate
 from ovmot.evaluation.trajectory import associate_stamps
 from ovmot.outputs.finished_run import Run
+from ovmot.outputs.run_json import RUN_JSON
 from ovmot.outputs.run_reader import EgoRun, read_ego_run, read_matches, read_points, read_tracks
 from ovmot.outputs.run_writer import EVALUATION_FILES
-from ovmot.text_files import StrPath
+from ovmot.text_files import StrPath, read_text
 
 _MAX_GAP_NS = 6_000_000
 _METRICS, _ERRORS, _NEES, _MAP = EVALUATION_FILES
@@ -61,8 +65,9 @@ class Evaluation:
 
 def evaluate(
     run: StrPath | Run,
-    truth: StrPath,
+    truth: StrPath | None = None,
     criteria: ObjectCriteria | None = None,
+    sequence: str | None = None,
 ) -> Evaluation:
     """Measure a finished run against the truth; nothing is written.
 
@@ -71,29 +76,46 @@ def evaluate(
     run
         The folder of a run, or the run itself.
     truth
-        The folder of a sequence with its truth, or a TUM file of true poses.
+        The folder of a sequence with its truth, a bag with an odometry, or a TUM file of true
+        poses; None for the data that the run has read.
     criteria
         When an object counts as found; by default those of docs/evaluation.md.
+    sequence
+        Which one, where the folder holds several.
 
     Raises
     ------
     InputError
         Where one of them is not what it should be, or they have no time in common.
     """
-    return _evaluation(
-        run.folder if isinstance(run, Run) else Path(run), Path(truth), criteria or ObjectCriteria()
-    )
+    folder = run.folder if isinstance(run, Run) else Path(run)
+    place = _input_of(folder) if truth is None else Path(truth)
+    return _evaluation(folder, place, sequence, criteria or ObjectCriteria())
 
 
-def _evaluation(run: Path, truth: Path, wanted: ObjectCriteria) -> Evaluation:
-    ego_run, ego_truth = read_ego_run(run), read_ego_truth(truth)
+def _input_of(run: Path) -> Path:
+    """The data that a run has read; raises `InputError` where it does not say, or it is gone."""
+    try:
+        path = Path(json.loads(read_text(run / RUN_JSON, InputError))["input"]["path"])
+    except (ValueError, KeyError, TypeError):
+        raise InputError.at(run, "does not say what it has read", "give --truth") from None
+    if not path.exists():
+        raise InputError.at(path, "was read by the run, and is gone", "give --truth")
+    return path
+
+
+def _evaluation(run: Path, truth: Path, sequence: str | None, wanted: ObjectCriteria) -> Evaluation:
+    ego_run = read_ego_run(run)
+    known = find_ego_truth(truth, sequence)
+    ego_truth = _at_poses_of(ego_run, known)
     ego = evaluate_ego(ego_run, ego_truth)
-    true_objects = _objects_of(truth)
+    true_objects = _objects_of(truth, sequence, known)
     if true_objects is None:
         return Evaluation(ego)
     frames = _compared(run, ego_run, ego_truth, true_objects, wanted)
     points, matches = read_points(run), read_matches(run)
-    labels = None if points is None else count_labels(points, true_objects, wanted)
+    with_ids = points is not None and true_objects.has_ids
+    labels = None if points is None or not with_ids else count_labels(points, true_objects, wanted)
     gate = None
     if matches is not None and true_objects.has_depth:
         gate = count_gate(matches, true_objects, open_sequence(truth).rig)
@@ -138,9 +160,27 @@ def metrics_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def _objects_of(data: Path) -> ObjectTruth | None:
+def _at_poses_of(run: EgoRun, truth: EgoTruth) -> EgoTruth:
+    """The truth, or, where it is too sparse for most poses of the run, interpolated at them.
+
+    Such is a truth of a rate like that of the frames, but with stamps of its own (OXTS).
+    """
+    of_truth, _ = associate_stamps(truth.timestamp_ns, run.timestamp_ns, _MAX_GAP_NS)
+    inside = run.timestamp_ns[
+        (run.timestamp_ns >= truth.timestamp_ns[0]) & (run.timestamp_ns <= truth.timestamp_ns[-1])
+    ]
+    if 2 * len(of_truth) >= len(inside):
+        return truth
+    T = interpolate_poses(Trajectory(truth.timestamp_ns, truth.T_world_imu), inside)
+    kept = np.isfinite(T[:, 0, 0])
+    if kept.sum() <= len(of_truth):
+        return truth
+    return EgoTruth(truth.path, inside[kept], T[kept])
+
+
+def _objects_of(data: Path, sequence: str | None, ego: EgoTruth) -> ObjectTruth | None:
     """The true objects of a sequence; raises `InputError` where its writing was interrupted."""
-    truth = read_object_truth(data) if data.is_dir() else None
+    truth = find_object_truth(data, sequence, ego)
     if truth is None and (data / "truth").is_dir():
         raise InputError.at(
             data / "truth", "holds no objects.json: it was not written to its end",

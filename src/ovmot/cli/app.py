@@ -160,7 +160,7 @@ def run(
             given.imu_max_gap_s,
             ovmot.BagTopics(left, right, imu),
             given.settings.recording.pair_tolerance_s,
-            need_imu_pose=need_imu_pose,
+            need_imu_pose,
         )
     settings = recorded.settings(given.settings)
     recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
@@ -234,13 +234,17 @@ def simulate(
 def evaluate(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     truth: Annotated[
-        Path, typer.Option("--truth", help="The sequence with its truth, or a TUM file.")
-    ],
+        Path | None,
+        typer.Option(
+            "--truth", help="Data with its truth, or a TUM file; else what the run has read."
+        ),
+    ] = None,
+    sequence: SequenceOption = None,
     plots: Annotated[bool, typer.Option(help="Draw plots beside metrics.json.")] = True,
 ) -> None:
     """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
     with interruptible(NOTHING_WRITTEN):
-        evaluation = ovmot.evaluate(run, truth)
+        evaluation = ovmot.evaluate(run, truth, sequence=sequence)
     ovmot.write_metrics(run, evaluation)
     if plots:
         ovmot.write_plots(run, evaluation)

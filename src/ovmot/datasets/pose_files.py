@@ -171,6 +171,13 @@ def interpolate_poses(
     return out
 
 
+def trajectory_of(
+    path: Path | str, timestamp_ns: IntArray, values: FloatArray, row: IntArray
+) -> Trajectory:
+    """Poses of values (N, 7): position, quaternion x y z w; errors as `read_tum`."""
+    return _trajectory(Path(path), timestamp_ns, values[:, :3], values[:, 3:7], row)
+
+
 def _trajectory(
     path: Path, timestamp_ns: IntArray, position: FloatArray, q_xyzw: FloatArray, row: IntArray
 ) -> Trajectory:

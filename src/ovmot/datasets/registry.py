@@ -105,8 +105,8 @@ def open_recording(
     imu_max_gap_s: float | None = None,
     topics: BagTopics | None = None,
     pair_tolerance_s: float | None = None,
-    need_pairs: bool = True,
     need_imu_pose: bool = True,
+    need_pairs: bool = True,
 ) -> RecordedSequence:
     """Describe a recorded sequence in a folder or a ROS bag; no image is decoded yet.
 
@@ -128,12 +128,12 @@ def open_recording(
         Those of a bag, where they cannot be found by their types.
     pair_tolerance_s
         The setting `recording.pair_tolerance_s`: so far apart may a pair's stamps be.
-    need_pairs
-        Whether a folder without images of one camera is an error; else it is a sequence of no
-        frames, to be examined.
     need_imu_pose
         Whether a Kalibr chain must say where the cameras are on the IMU; else the left camera
         stands for the IMU, for poses that are given.
+    need_pairs
+        Whether a folder without images of one camera is an error; else it is a sequence of no
+        frames, to be examined.
 
     Returns
     -------
@@ -158,8 +158,8 @@ def open_recording(
             given,
             imu_max_gap_s,
             pair_tolerance_s,
-            need_pairs,
             need_imu_pose,
+            need_pairs,
         )
     _refuse(root, "is a bag", format=format, sequence=sequence)
     limits = replace(_limits(imu_max_gap_s, pair_tolerance_s), need_imu_pose=need_imu_pose)
@@ -173,8 +173,8 @@ def open_sequence(
     calibration: StrPath | Calibration | None = None,
     imu_max_gap_s: float | None = None,
     pair_tolerance_s: float | None = None,
-    need_pairs: bool = True,
     need_imu_pose: bool = True,
+    need_pairs: bool = True,
 ) -> FolderSequence:
     """Describe the sequence in a folder; arguments and errors as for `open_recording`."""
     root = Path(path)

@@ -1,6 +1,7 @@
 """The truth of a sequence: the rig's motion, boxes of objects, images of ids and depth.
 
-Where the true poses are depends on the data set (`TRUTH_FILES`). Sequences that ovmot writes hold,
+Where the true poses are depends on the data set: `TRUTH_FILES`, else the `truth.py` of a format's
+folder (`find_truth.py`). Sequences that ovmot writes hold,
 in `truth/`:
 
 - `<ns>.png`: the object id at every left pixel, 0 where no object is seen;
@@ -22,10 +23,12 @@ import cv2
 import numpy as np
 import yaml
 
+from ovmot.cameras.camera import Camera
 from ovmot.datasets.pose_files import read_euroc_ground_truth, read_tum
 from ovmot.datasets.text_tables import column_count, read_stamped_csv
 from ovmot.errors import InputError
-from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image, IntArray
 from ovmot.text_files import read_text
 
 _EUROC = "state_groundtruth_estimate0"
@@ -35,10 +38,15 @@ TRUTH_FILES = (
     "truth/poses.csv",
     f"{_EUROC}/data.csv",
     f"{_EUROC}/trajectory.tum",
+    "mav0/mocap0/data.csv",
+    "mocap0/data.csv",
+    "dso/gt_imu.csv",
 )
-"""Where in a data set's folder the truth may be; the first one that is there is taken.
+"""Where in a data set's folder the IMU's true poses may be, in EuRoC's or TUM's form; the first one
+that is there is taken.
 
-EuRoC's comes first, because it may hold velocity and biases too."""
+EuRoC's comes first, because it may hold velocity and biases too; `mocap0` and `gt_imu.csv` are
+TUM-VI's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +87,19 @@ def read_ego_truth(data: Path) -> EgoTruth:
     return EgoTruth(path, stamps, T, rest[:, :3], rest[:, 3:6], rest[:, 6:])
 
 
+def truth_file(data: Path) -> Path | None:
+    """The first of `TRUTH_FILES` that a folder holds."""
+    return next((data / name for name in TRUTH_FILES if (data / name).is_file()), None)
+
+
 def _find(data: Path) -> Path:
     if not data.exists():
         raise InputError.at(data, "no such file or folder", "give the truth by --truth")
-    for name in TRUTH_FILES:
-        if (data / name).is_file():
-            return data / name
-    known = ", ".join(TRUTH_FILES[:3])
-    raise InputError.at(data, f"holds no true poses (looked for {known})", "give a TUM file")
+    found = truth_file(data)
+    if found is None:
+        known = ", ".join(TRUTH_FILES[:3])
+        raise InputError.at(data, f"holds no true poses (looked for {known})", "give a TUM file")
+    return found
 
 
 DEPTH_STEPS_PER_M = 256.0
@@ -101,7 +114,8 @@ class TrueObjects:
 
     `center` (N, 3) of the box, `yaw` (N,), `size` (N, 3) length, width, height, `velocity` (N, 3),
     `yaw_rate` (N,), `visible_px` (N,) pixels of it in the left image; `category` names the kind of
-    each, and is empty where it is not read. Metres, radians, seconds.
+    each, and is empty where it is not read. `evaluated` (N,): which the data's own rules count, all
+    where it is None. Metres, radians, seconds.
     """
 
     timestamp_ns: int
@@ -113,14 +127,42 @@ class TrueObjects:
     yaw_rate: FloatArray
     visible_px: IntArray
     category: tuple[str, ...] = ()
+    evaluated: BoolArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ImageRules:
+    """What a benchmark leaves out by the left image: regions nobody looked at, and small tracks.
+
+    `regions` by stamp: boxes (R, 4), left, top, right, bottom in pixels. `min_height_px`: tracks
+    that are not higher are neither hits nor false. `T_cam0_imu` (4, 4).
+    """
+
+    camera: Camera
+    T_cam0_imu: FloatArray
+    min_height_px: float
+    regions: dict[int, FloatArray]
+
+    def leave_out(self, timestamp_ns: int, center: FloatArray, height_m: FloatArray) -> BoolArray:
+        """Which tracks (P,) are left out where they are on no object; `center` (P, 3) in the IMU's
+        frame, `height_m` (P,)."""
+        p = se3.apply(self.T_cam0_imu, center)
+        pixel = self.camera.project(p)[:, None, :]  # NaN behind the camera, and nowhere inside
+        small = self.camera.intrinsics[1] * height_m <= self.min_height_px * p[:, 2]
+        boxes = self.regions.get(timestamp_ns, np.empty((0, 4)))
+        inside = (pixel >= boxes[None, :, :2]) & (pixel <= boxes[None, :, 2:])
+        in_region = np.any(np.all(inside, axis=2), axis=1)
+        return np.asarray((small & (p[:, 2] > 0.0)) | in_region)
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectTruth:
-    """All frames by their stamp, and the folder with their images."""
+    """All frames by their stamp, and the folder with their images, where there are any."""
 
     folder: Path
     frames: dict[int, TrueObjects]
+    has_ids: bool = True
+    image_rules: ImageRules | None = None
 
     def read_ids(self, timestamp_ns: int) -> Image:
         """The object's id at every left pixel (H, W), 0 where no mover is; raises `InputError`."""

@@ -69,7 +69,11 @@ def compare_frames(
         objects = truth.frames.get(stamp)
         if objects is not None:
             now = tracks.at(stamp)
-            frames.append(compare_frame(objects, now, true_pose, run_pose, criteria))
+            left_out = None
+            if truth.image_rules is not None:
+                p_imu = se3.apply(se3.inverse(run_pose), now.position)
+                left_out = truth.image_rules.leave_out(stamp, p_imu, now.size[:, 2])
+            frames.append(compare_frame(objects, now, true_pose, run_pose, criteria, left_out))
     return tuple(frames)
 
 
@@ -79,8 +83,12 @@ def compare_frame(
     T_true: FloatArray,
     T_run: FloatArray,
     criteria: ObjectCriteria,
+    left_out: BoolArray | None = None,
 ) -> ComparedFrame:
-    """Pair the objects and tracks of one frame by the least total distance within the gate."""
+    """Pair the objects and tracks of one frame by the least total distance within the gate.
+
+    `left_out` (P,): tracks that the data's own rules do not count where they are on no object.
+    """
     T_true_run = T_true @ se3.inverse(T_run)
     distance = box_distances(se3.apply(T_true_run, tracks.position), objects)
     needed = must_be_found(objects, T_true, criteria)
@@ -88,7 +96,8 @@ def compare_frame(
     of_object, of_track = linear_sum_assignment(np.where(near, distance, _FAR))
     kept = near[of_object, of_track]
     of_object, of_track = of_object[kept], of_track[kept]
-    counted = np.ones(len(tracks.track_id), dtype=np.bool_)
+    counted = np.ones(len(tracks.track_id), dtype=np.bool_) if left_out is None else ~left_out
+    counted[of_track] = True
     counted[of_track[~needed[of_object]]] = False
     pairs = np.stack([of_object, of_track], axis=1)[needed[of_object]]
     return ComparedFrame(
@@ -118,7 +127,7 @@ def must_be_found(objects: TrueObjects, T_true: FloatArray, criteria: ObjectCrit
         & (np.linalg.norm(p_body, axis=1) < criteria.max_range_m)
         & (p_body[:, 0] > 0.0)
     )
-    return found
+    return found if objects.evaluated is None else found & objects.evaluated
 
 
 def tracking_sequence(frames: Sequence[ComparedFrame], gate_m: float) -> TrackingSequence:

@@ -103,17 +103,26 @@ def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
     return checked_imu(read_stamped_text(path, _IMU_COLUMNS), 0, 3, max_gap_s, findings)
 
 
-def _calibration(root: Path, findings: Findings) -> Calibration:
+def _calibration_folder(root: Path) -> Path:
     parent = root.resolve().parent
     places = [p / name for p in (root, parent) for name in ("calibration", "Calibration")]
-    folder = next((p for p in places if p.is_dir()), places[0])
+    return next((p for p in places if p.is_dir()), places[0])
+
+
+def cam_from_imu(root: Path) -> FloatArray:
+    """T_cam0_imu (4, 4) of a recording; raises `CalibrationError`."""
+    return _cam_from_imu(root / "Transformations.txt", _calibration_folder(root) / "camchain.yaml")
+
+
+def _calibration(root: Path, findings: Findings) -> Calibration:
+    folder = _calibration_folder(root)
     cameras = (
         _camera(folder / "undistorted_calib_0.txt"),
         _camera(folder / "undistorted_calib_1.txt"),
     )
     stereo = folder / "undistorted_calib_stereo.txt"
     T_cam1_cam0 = _rigid(stereo, _numbers(stereo))
-    T_imu_cam0 = se3.inverse(_cam_from_imu(root / "Transformations.txt", folder / "camchain.yaml"))
+    T_imu_cam0 = se3.inverse(cam_from_imu(root))
     rig = make_rig(stereo, cameras, (T_imu_cam0, T_imu_cam0 @ se3.inverse(T_cam1_cam0)))
     noise = next((folder / n for n in _NOISE_FILES if (folder / n).exists()), None)
     if noise is None:

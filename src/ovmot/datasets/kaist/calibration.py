@@ -29,12 +29,16 @@ def read_kaist_calibration(folder: Path) -> Calibration:
     left = load_calibration_yaml(folder / "left.yaml")
     right = load_calibration_yaml(folder / "right.yaml")
     T_vehicle_cam0 = read_vehicle_transform(folder / "Vehicle2Stereo.txt")
-    imu_file = folder / "Vehicle2IMU.txt"
-    T_vehicle_imu = read_vehicle_transform(imu_file) if imu_file.exists() else T_VEHICLE_IMU_DEFAULT
-    T_imu_cam0 = se3.inverse(T_vehicle_imu) @ T_vehicle_cam0
+    T_imu_cam0 = se3.inverse(imu_on_vehicle(folder)) @ T_vehicle_cam0
     T_imu_cam1 = T_imu_cam0 @ se3.inverse(right_from_left(left, right))
     cameras = read_camera(left), read_camera(right)
     return Calibration(make_rig(right.path, cameras, (T_imu_cam0, T_imu_cam1)), None)
+
+
+def imu_on_vehicle(folder: Path) -> FloatArray:
+    """T_vehicle_imu (4, 4) of `Vehicle2IMU.txt`, if it is there, else the data set's own."""
+    path = folder / "Vehicle2IMU.txt"
+    return read_vehicle_transform(path) if path.exists() else T_VEHICLE_IMU_DEFAULT
 
 
 def read_vehicle_transform(path: Path) -> FloatArray:

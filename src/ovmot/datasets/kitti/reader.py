@@ -21,10 +21,14 @@ _TRACKING_PERIOD_NS = 100_000_000  # tracking has no stamps: 10 Hz from zero
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
-    """Where one sequence's files are; `left` is the number of the left camera."""
+class Layout:
+    """Where one sequence's files are; `left` is the number of the left camera.
+
+    `folder` holds all sequences of tracking, or one of odometry, the one with `times`.
+    """
 
     name: str
+    folder: Path
     images: tuple[Path, Path]
     calibration: Path
     left: int
@@ -50,7 +54,7 @@ class KittiReader:
         limits: ReadingLimits,
     ) -> FolderSequence:
         """Describe the sequence; raises `InputError` and its children for what is wrong."""
-        layout = self._layout(root, sequence)
+        layout = layout_of(root, sequence)
         findings = Findings()
         left, right = (
             camera_images(partial(numbered_images, folder), limits, findings)
@@ -64,29 +68,31 @@ class KittiReader:
             name=layout.name,
             root=root,
             calibration=found,
-            listing=listing.stamped(partial(_stamps, layout.times)),
+            listing=listing.stamped(partial(frame_stamps, layout)),
             imu=None,
             decode=read_grey,
             findings=findings,
             numbers=listing.frame_ns,
         )
 
-    def _layout(self, root: Path, sequence: str | None) -> _Layout:
-        tracking, odometry = _tracking(root), _odometry(root)
-        if tracking is not None:
-            name = _choose(tracking / "image_02", sequence)
-            images = tracking / "image_02" / name, tracking / "image_03" / name
-            return _Layout(name, images, tracking / "calib" / f"{name}.txt", 2, None)
-        if odometry is None:
-            raise InputError.at(root, "not a KITTI folder", f"it needs {self.needs}")
-        if odometry.name == "sequences" and not _is_odometry(odometry):
-            odometry = odometry / _choose(odometry, sequence)
-        elif sequence is not None:
-            raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")
-        left = 0 if (odometry / "image_0").is_dir() else 2
-        images = odometry / f"image_{left}", odometry / f"image_{left + 1}"
-        times, calibration = odometry / "times.txt", odometry / "calib.txt"
-        return _Layout(odometry.resolve().name, images, calibration, left, times)
+
+def layout_of(root: Path, sequence: str | None) -> Layout:
+    """Where the files of the chosen sequence are; raises `InputError`."""
+    tracking, odometry = _tracking(root), _odometry(root)
+    if tracking is not None:
+        name = _choose(tracking / "image_02", sequence)
+        images = tracking / "image_02" / name, tracking / "image_03" / name
+        return Layout(name, tracking, images, tracking / "calib" / f"{name}.txt", 2, None)
+    if odometry is None:
+        raise InputError.at(root, "not a KITTI folder", f"it needs {KittiReader.needs}")
+    if odometry.name == "sequences" and not _is_odometry(odometry):
+        odometry = odometry / _choose(odometry, sequence)
+    elif sequence is not None:
+        raise InputError.at(root, "holds one sequence", f"leave out '--sequence {sequence}'")
+    left = 0 if (odometry / "image_0").is_dir() else 2
+    images = odometry / f"image_{left}", odometry / f"image_{left + 1}"
+    times, calibration = odometry / "times.txt", odometry / "calib.txt"
+    return Layout(odometry.resolve().name, odometry, images, calibration, left, times)
 
 
 def _tracking(root: Path) -> Path | None:
@@ -120,6 +126,11 @@ def _choose(folder: Path, sequence: str | None) -> str:
         problem = f"{len(names)} sequences" if names else "no sequence"
         raise InputError.at(folder, problem, f"choose one with --sequence; {known}")
     return names[0]
+
+
+def frame_stamps(layout: Layout, frame_numbers: IntArray) -> IntArray:
+    """Stamps (M,) in ns of the frames of a sequence by their numbers (M,)."""
+    return _stamps(layout.times, frame_numbers)
 
 
 def _stamps(times: Path | None, frame_numbers: IntArray) -> IntArray:

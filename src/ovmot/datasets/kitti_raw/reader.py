@@ -3,11 +3,10 @@
 A. Geiger et al., "Vision meets robotics: The KITTI dataset", IJRR 2013. Of the OXTS fields the
 specific force `ax ay az` and the angular rate `wx wy wz` are used, in the unit's own axes (x
 forward, y left, z up), not `af al au` and `wf wl wu`, which are turned to the ground. Position,
-orientation and velocity are truth, and not read.
+orientation and velocity are truth (`kitti_raw_truth`), which no run reads.
 """
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
@@ -25,16 +24,20 @@ from ovmot.datasets.frames import (
 from ovmot.datasets.images import image_size, read_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kitti_raw.calibration import CAMERAS_FILE, read_kitti_raw_calibration
+from ovmot.datasets.kitti_raw.oxts import (
+    ACCEL,
+    GYRO,
+    read_packets,
+    read_times,
+    stamps_at,
+    true_poses,
+)
 from ovmot.datasets.sequence import FolderSequence, assemble
-from ovmot.datasets.text_tables import StampedTable
+from ovmot.datasets.truth import EgoTruth
 from ovmot.errors import DatasetError, InputError
-from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.text_files import read_text
+from ovmot.geometry.arrays import IntArray
 from ovmot.types import ImuData
 
-_FIELDS = 30
-_ACCEL, _GYRO = 11, 17  # ax ay az, wx wy wz
-_NO_STAMP = -1
 _DENSE = 3  # samples an image: `_sync` has 1, `_extract` 10
 
 
@@ -148,7 +151,7 @@ def _calibration(drive: _Drive, listing: StereoListing) -> Calibration:
 
 def _frame_stamps(path: Path, numbers: IntArray) -> IntArray:
     """Stamps (M,) in ns of the frames of these numbers (M,)."""
-    stamps = _at(_read_times(path), numbers, path)
+    stamps = stamps_at(read_times(path), numbers, path)
     backwards = np.flatnonzero(np.diff(stamps) <= 0)
     if len(backwards):
         row = int(numbers[backwards[0] + 1]) + 1
@@ -157,72 +160,18 @@ def _frame_stamps(path: Path, numbers: IntArray) -> IntArray:
     return stamps
 
 
-def _read_times(path: Path) -> IntArray:
-    """Nanoseconds of each row `2011-09-26 13:02:25.964389445`; -1 for an empty one."""
-    missing = "no such file; it holds the time of each file"
-    lines = read_text(path, DatasetError, missing).split("\n")
-    stamps = np.full(len(lines), _NO_STAMP, dtype=np.int64)
-    for i, line in enumerate(lines):
-        text = line.strip()
-        if not text:
-            continue
-        try:
-            stamps[i] = _time_ns(text)
-        except ValueError:
-            remedy = "a row is: year-month-day hour:minute:second.fraction"
-            raise DatasetError.at(path, f"'{text[:40]}' is no time", remedy, row=i + 1) from None
-    return stamps
-
-
-def _time_ns(text: str) -> int:
-    """Nanoseconds since 1970 of a date and time taken as UTC."""
-    whole, _, fraction = text.partition(".")
-    moment = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
-    if fraction and not (fraction.isascii() and fraction.isdigit()):
-        raise ValueError(text)
-    return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
-
-
-def _at(stamps: IntArray, numbers: IntArray, path: Path) -> IntArray:
-    """The stamps of numbered files; raises `DatasetError` for a file without one."""
-    known = np.append(stamps, _NO_STAMP)[np.minimum(numbers, len(stamps))]
-    if np.any(known == _NO_STAMP):
-        number = int(numbers[int(np.argmax(known == _NO_STAMP))])
-        problem = f"no time for the file of number {number}"
-        raise DatasetError.at(path, problem, "row n is the time of file n - 1", row=number + 1)
-    return known
-
-
 def _imu(oxts: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
-    """The samples of `oxts/data`; those that do not lie after all before them are dropped.
-
-    Some `extract` drives have packets out of order: their stamps are the receiver's.
-    """
+    """The samples of `oxts/data`, None, noted, where there is no such folder."""
     if not (oxts / "data").is_dir():
         note_no_imu(oxts / "data", findings)
         return None
-    files = {int(p.stem): p for p in (oxts / "data").glob("*.txt") if p.stem.isdigit()}
-    if not files:
-        raise DatasetError.at(oxts / "data", "no samples in this folder", "copy it again")
-    numbers = np.array(sorted(files), dtype=np.int64)
-    stamps = _at(_read_times(oxts / "timestamps.txt"), numbers, oxts / "timestamps.txt")
-    latest = np.maximum.accumulate(stamps)
-    fresh = np.concatenate([[True], stamps[1:] > latest[:-1]])
-    late = int(np.count_nonzero(~fresh))
-    text = f"{oxts}: {late} samples that do not lie after the one before: dropped"
-    findings.note("imu_out_of_order", late, text)
-    values = np.array([_fields(files[int(n)]) for n in numbers[fresh]])
-    table = StampedTable(oxts / "timestamps.txt", stamps[fresh], values, numbers[fresh] + 1)
-    return checked_imu(table, _GYRO, _ACCEL, max_gap_s, findings)
+    return checked_imu(read_packets(oxts, findings), GYRO, ACCEL, max_gap_s, findings)
 
 
-def _fields(path: Path) -> FloatArray:
-    """The 30 numbers of one OXTS packet."""
-    try:
-        values = np.array(read_text(path, DatasetError).split(), dtype=np.float64)
-    except ValueError as error:
-        raise DatasetError.at(path, f"cannot be read: {error}", "copy it again") from None
-    if len(values) != _FIELDS or not np.all(np.isfinite(values)):
-        problem = f"{len(values)} numbers where {_FIELDS} finite ones are expected"
-        raise DatasetError.at(path, problem, "copy it again")
-    return values
+def kitti_raw_truth(root: Path, sequence: str | None) -> EgoTruth | None:
+    """The poses of a drive by its OXTS; None where it has none. Errors as for reading."""
+    oxts = _choose(root, sequence).folder / "oxts"
+    if not (oxts / "data").is_dir():
+        return None
+    packets = read_packets(oxts, Findings())
+    return true_poses(oxts, packets.timestamp_ns, packets.values)
