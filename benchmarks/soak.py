@@ -47,9 +47,9 @@ _ENDING = {"reader_fails", "clock_far_back"}
 _CAMERAS = {"left_gone", "right_gone"}
 SOURCES = {
     "features": sorted(FAULTS.keys() - _ENDING),
-    "rendered": sorted(FAULTS.keys() - _ENDING - _CAMERAS),
+    "rendered": sorted(FAULTS.keys() - _ENDING),
 }
-"""The faults of each source; a missing image is refused by the odometry as yet."""
+"""The faults of each source."""
 
 
 @dataclass
