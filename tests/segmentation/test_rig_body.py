@@ -17,6 +17,7 @@ from ovmot.segmentation.rig_body import (
     standing_features,
     without_rig_body,
 )
+from ovmot.segmentation.rig_body_kernel import find_standing_compiled
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.types import FrontendFrame, PixelNoise, PointLabel, PoseWindow, ScenePoints
@@ -109,3 +110,36 @@ def test_what_lies_on_the_rig_is_unknown_and_an_outlier() -> None:
     assert (kept.points.label == int(PointLabel.UNKNOWN)).tolist() == where.tolist()
     assert kept.outlier.tolist() == where.tolist()
     assert without_rig_body(split, np.zeros(n, dtype=np.bool_)) is split
+
+
+def test_the_kernel_is_its_plain_twin(rig: StereoRig) -> None:
+    rng = np.random.default_rng(3)
+    n_rows, n = 4, 200
+    then = rng.uniform(-0.5, 0.5, (n_rows, n, 4))
+    then[rng.random((n_rows, n)) < 0.3] = np.nan
+    p_then = np.concatenate([then[..., :2], np.ones((n_rows, n, 1))], axis=-1)
+    p_then *= rng.uniform(0.5, 6.0, (n_rows, n, 1))
+    p_then[rng.random((n_rows, n)) < 0.3] = np.nan
+    now = rng.uniform(-0.5, 0.5, (n, 4))
+    now[: n // 2] = then[0, : n // 2] + rng.normal(0.0, 0.002, (n // 2, 4))
+    T = np.tile(np.eye(4), (n_rows, 1, 1))
+    T[:, :3, 3] = rng.uniform(-0.6, 0.6, (n_rows, 3))
+    sigma_px = np.array([1.0, 0.8, 0.7, 0.6])
+    stands, moves = find_standing_compiled(then, p_then, now, T, sigma_px, 400.0, 3.0)
+    open_ = np.ones(n, dtype=np.bool_)
+    wanted_stands, wanted_moves = np.zeros((2, n), dtype=np.bool_)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for k in range(n_rows):
+            seen = open_ & np.isfinite(then[k, :, 0])
+            way = 400.0 * np.linalg.norm(now[:, :2] - then[k, :, :2], axis=1)
+            unknown, far = np.isnan(p_then[k, :, 2]), p_then[k, :, 2] >= 3.0
+            ray = np.concatenate([then[k, :, :2], np.ones((n, 1))], axis=1)
+            moved = np.where(unknown[:, None], ray @ T[k, :3, :3].T, se3.apply(T[k], p_then[k]))
+            off = 400.0 * np.linalg.norm(moved[:, :2] / moved[:, 2:] - then[k, :, :2], axis=1)
+            off = np.where(far, np.nan, np.where(moved[:, 2] > 0.0, off, np.inf))
+            wanted_stands |= seen & (off > 10.0 * sigma_px[k]) & (way < 3.0 * sigma_px[k])
+            wanted_moves |= seen & (way > 6.0 * sigma_px[k])
+            open_ &= ~seen
+    assert 5 < stands.sum() < n and 5 < moves.sum() < n
+    np.testing.assert_array_equal(stands, wanted_stands)
+    np.testing.assert_array_equal(moves, wanted_moves)

@@ -107,8 +107,11 @@ def median_flow_px(
     `xy` (N, 2): normalized coordinates; `p_before` (N, 3): positions in the camera of before,
     metres, NaN where unknown: those are moved by the rotation alone.
     """
-    now, _ = predict_pixels(xy, p_before, T_now_before, camera)
-    before, _ = predict_pixels(xy, p_before, np.eye(4), camera)
-    flow = np.linalg.norm(now - before, axis=1)
-    flow = flow[np.isfinite(flow)]
-    return float(np.median(flow)) if len(flow) else 0.0
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    known = np.isfinite(p_before[:, 2:])
+    now = np.where(known, se3.apply(T_now_before, p_before), ray @ T_now_before[:3, :3].T)
+    in_front = now[:, 2] > 0.0
+    if not in_front.any():
+        return 0.0
+    way = now[in_front, :2] / now[in_front, 2:] - xy[in_front]
+    return float(camera.fx * np.median(np.hypot(way[:, 0], way[:, 1])))

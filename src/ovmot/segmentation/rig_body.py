@@ -16,8 +16,8 @@ from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.physics import RIG_REACH_M
+from ovmot.segmentation.rig_body_kernel import find_standing_compiled
 from ovmot.segmentation.segmentation import Segmentation
-from ovmot.segmentation.static_comparison import ego_motion_since
 from ovmot.types import PixelNoise, PointLabel, PoseWindow
 
 _CELLS = 32
@@ -42,7 +42,9 @@ class RigBody:
         """The cells (rows, columns) of a picture, 0 left, 1 right, that show the rig."""
         stood, moved = self.stood[side], self.moved[side]
         mostly = stood >= _SHARE * (stood + moved)
-        certain = (stood >= _CERTAIN) & mostly
+        certain: BoolArray = (stood >= _CERTAIN) & mostly
+        if not certain.any():
+            return certain
         beside = (
             ndimage.binary_dilation(certain, np.ones((3, 3), dtype=np.bool_)) & (stood > 0) & mostly
         )
@@ -86,10 +88,10 @@ def counted(
     stood, moved = list(body.stood), list(body.moved)
     for side, camera in enumerate(rig.cameras):
         row, column, inside = _cell_of(pixels[:, 2 * side : 2 * side + 2], camera)
+        cell = row * _CELLS + column
         for which, counts in ((stands, stood), (moves, moved)):
-            at = which & inside
-            counts[side] = counts[side].copy()
-            np.add.at(counts[side], (row[at], column[at]), 1)
+            more = np.bincount(cell[which & inside], minlength=counts[side].size)
+            counts[side] = counts[side] + more.reshape(counts[side].shape)
     return RigBody((stood[0], stood[1]), (moved[0], moved[1]))
 
 
@@ -104,42 +106,19 @@ def standing_features(
     its distance, and in a bend its bearing too. A feature stands that is within the noise of where
     it was, and off by ten times the noise from where it is expected.
     """
-    stands, moves, open_ = (np.zeros(len(history.now), dtype=np.bool_) for _ in range(3))
-    open_[:] = True
-    T_now_then = ego_motion_since(history, window, rig).T_now_then
-    for k in range(len(history)):
-        seen = open_ & np.isfinite(history.then[k, :, 0])
-        sigma_px = _way_sigma_px(history.noise, int(history.n_frames[k]))
-        way_px = rig.cam0.fx * np.linalg.norm(history.now[:, :2] - history.then[k, :, :2], axis=1)
-        off_px = _expected_way_px(history.then[k, :, :2], history.p_then[k], T_now_then[k], rig)
-        with np.errstate(invalid="ignore"):
-            stands |= seen & (off_px > 10.0 * sigma_px) & (way_px < 3.0 * sigma_px)
-            moves |= seen & (way_px > 6.0 * sigma_px)
-        open_ &= ~seen
-    return stands, moves
+    clone = np.searchsorted(window.timestamp_ns, history.clone_ns)
+    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
+    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[clone]
+    sigma_px = _way_sigma_px(history.noise, history.n_frames)
+    return find_standing_compiled(
+        history.then, history.p_then, history.now, T_now_then, sigma_px, rig.cam0.fx, RIG_REACH_M
+    )
 
 
-def _expected_way_px(
-    then: FloatArray, p_then: FloatArray, T_now_then: FloatArray, rig: StereoRig
-) -> FloatArray:
-    """How far (N,) points at rest move in the left picture, pixels: infinite for those that the rig
-    has passed by, NaN beyond its reach.
-
-    `then` (N, 2): normalized coordinates; `p_then` (N, 3): positions, metres, NaN where unknown.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unknown, far = np.isnan(p_then[:, 2]), p_then[:, 2] >= RIG_REACH_M
-        ray = np.concatenate([then, np.ones((len(then), 1))], axis=1)
-        turned, moved = ray @ T_now_then[:3, :3].T, se3.apply(T_now_then, p_then)
-        now = np.where(unknown[:, None], turned, moved)
-        way = rig.cam0.fx * np.linalg.norm(now[:, :2] / now[:, 2:] - then, axis=1)
-        return np.where(far, np.nan, np.where(now[:, 2] > 0.0, way, np.inf))
-
-
-def _way_sigma_px(noise: PixelNoise, n_frames: int) -> float:
-    """Standard deviation of a patch's way through the picture, where it has none, over frames."""
-    drift = float(noise.drift_sigma_px(np.array([n_frames]))[0])
-    return float(np.hypot(2.0**0.5 * noise.single_px, drift))
+def _way_sigma_px(noise: PixelNoise, n_frames: IntArray) -> FloatArray:
+    """Standard deviation (L,) of a patch's way through the picture, where it has none, over numbers
+    of frames (L,)."""
+    return np.asarray(np.hypot(2.0**0.5 * noise.single_px, noise.drift_sigma_px(n_frames)))
 
 
 def _cell_px(camera: Camera) -> int:
