@@ -315,8 +315,8 @@ class LiveSettings(Section):
     """Topic of the IMU."""
     pair_tolerance_s: float = Field(0.005, ge=0.0)
     """Left and right image are a pair when their stamps differ by no more than this."""
-    queue_frames: int = Field(5, ge=1)
-    """Frames that may wait, beside those held for the IMU; of more, the oldest is dropped."""
+    queue_frames: int = Field(20, ge=1)
+    """Frames that may wait, as many as a start takes at 20 Hz; of more, the oldest is dropped."""
     hold_s: float = Field(3.0, gt=0.0)
     """A hole in the IMU up to this long is gone through, its frames held; after more, a restart."""
     frames: tuple[str, str, str, str] = ("world", "imu", "cam0", "cam1")
