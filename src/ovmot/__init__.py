@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ovmot.cameras.rig import StereoRig
     from ovmot.datasets.bag.topics import BagTopics
     from ovmot.datasets.calibration_export import WrittenCalibration, write_calibration
-    from ovmot.datasets.openvins_config import load_run_config
+    from ovmot.datasets.openvins_config import RunConfig, load_run_config
     from ovmot.datasets.registry import DATASETS, PRESETS, WRITERS
     from ovmot.datasets.registry import open_recording as open
     from ovmot.datasets.sequence import RecordedSequence
@@ -85,6 +85,7 @@ __all__ = [
     "PointLabel",
     "RecordedSequence",
     "Run",
+    "RunConfig",
     "RunContext",
     "RunOptions",
     "RunSummary",
@@ -117,7 +118,7 @@ _HOMES = {
     "cameras.rig": "StereoRig",
     "datasets.bag.topics": "BagTopics",
     "datasets.calibration_export": "WrittenCalibration write_calibration",
-    "datasets.openvins_config": "load_run_config",
+    "datasets.openvins_config": "RunConfig load_run_config",
     "datasets.registry": "DATASETS PRESETS WRITERS open_recording",
     "datasets.sequence": "RecordedSequence",
     "errors": "CalibrationError DatasetError InputError OvmotError",

@@ -4,7 +4,6 @@ import io
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -47,6 +46,7 @@ from ovmot.cli.options import (
     SetOption,
     preset_lines,
 )
+from ovmot.cli.recorded import open_recorded
 from ovmot.ros.bag_output import BagOutput
 from ovmot.runtime import take_signals_as_interrupts
 
@@ -150,21 +150,11 @@ def run(
     ovmot.prepare_process()
     first_use = nothing_is_compiled()
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    need_imu_pose = ego is None
-    given = ovmot.load_run_config(config, overrides, left, right, need_imu_pose=need_imu_pose)
-    with interruptible(NOTHING_WRITTEN):
-        recorded = ovmot.open(
-            data,
-            format,
-            sequence,
-            calibration or given.calibration,
-            given.imu_max_gap_s,
-            ovmot.BagTopics(left, right, imu),
-            given.settings.recording.pair_tolerance_s,
-            need_imu_pose,
-        )
+    topics = ovmot.BagTopics(left, right, imu)
+    given, recorded = open_recorded(
+        data, format, sequence, calibration, topics, config, overrides, need_imu_pose=ego is None
+    )
     settings = recorded.settings(given.settings)
-    recorded = replace(recorded, warnings=(*given.warnings, *recorded.warnings))
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
     more = () if bag is None else (_bag_output(bag, recorded, video, force),)

@@ -17,6 +17,7 @@ from ovmot.cli.options import (
     SequenceOption,
     SetOption,
 )
+from ovmot.cli.recorded import open_recorded
 from ovmot.run_calibration import calibration_table, run_calibration, write_run_calibration
 
 _RUN_JSON = "run.json"
@@ -51,24 +52,16 @@ def calibrate(
     if not as_is and (data / _RUN_JSON).is_file():
         _write_found(data, data, out, force)
         return
-    given = ovmot.load_run_config(config, set_ or ())
-    with interruptible(NOTHING_WRITTEN):
-        recorded = ovmot.open(
-            data,
-            format,
-            sequence,
-            calibration or given.calibration,
-            given.imu_max_gap_s,
-            topics=ovmot.BagTopics(left, right, imu),
-        )
+    topics, overrides = ovmot.BagTopics(left, right, imu), set_ or []
+    given, recorded = open_recorded(data, format, sequence, calibration, topics, config, overrides)
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
     if as_is:
         _say_written(data, ovmot.write_calibration(recorded, out, replace=force))
         return
     if not given.settings.calibration.any:
-        more = [*(set_ or ()), "calibration.extrinsics=true"]
-        given = ovmot.load_run_config(config, more)
+        more = [*overrides, "calibration.extrinsics=true"]
+        given = ovmot.load_run_config(config, more, left, right)
     settings = recorded.settings(given.settings)
     ovmot.prepare_process()
     with TemporaryDirectory() as folder:

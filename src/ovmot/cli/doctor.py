@@ -16,6 +16,7 @@ from ovmot.cli.options import (
     SequenceOption,
     SetOption,
 )
+from ovmot.cli.recorded import open_recorded
 from ovmot.doctor.examine import examine, sampled_frames
 from ovmot.doctor.fix import fixed_settings, write_settings
 from ovmot.doctor.report import Report, report_table, write_report
@@ -46,20 +47,12 @@ def doctor(
 ) -> None:
     """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if it is wrong."""
     ovmot.prepare_process()
-    given = ovmot.load_run_config(config, set_ or ())
+    topics = ovmot.BagTopics(left, right, imu)
+    given, recorded = open_recorded(
+        data, format, sequence, calibration, topics, config, set_ or (), need_pairs=False
+    )
     chain = calibration or given.calibration
     chain_file = chain if isinstance(chain, Path) else None
-    with interruptible(NOTHING_WRITTEN):
-        recorded = ovmot.open(
-            data,
-            format,
-            sequence,
-            chain,
-            given.imu_max_gap_s,
-            pair_tolerance_s=given.settings.recording.pair_tolerance_s,
-            topics=ovmot.BagTopics(left, right, imu),
-            need_pairs=False,
-        )
     with (
         interruptible(NOTHING_WRITTEN),
         progress("doctor", sampled_frames(recorded)) as advance,

@@ -14,6 +14,7 @@ from ovmot.doctor.camera_rotations import CameraRotations
 from ovmot.doctor.locations import Locations
 from ovmot.doctor.report import Finding, Severity
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.initialization.clock_offset import integrated_rates
 from ovmot.types import ImuData
 
 SEARCH_S, STEP_S = 0.4, 0.005
@@ -64,7 +65,7 @@ def fit_gyro(turns: CameraRotations, imu: ImuData, offset_s: float) -> GyroFit |
         return None
     start, end = start[use], end[use]
     camera = _centred(turns.rotation[use] / (end - start)[:, None])
-    angle = _integral(at, imu.gyro)
+    angle = integrated_rates(at, imu.gyro)
     lags = np.linspace(-SEARCH_S, SEARCH_S, 2 * round(SEARCH_S / STEP_S) + 1)
     left = np.array([_left_over(camera, _mean_rates(at, angle, start + s, end + s)) for s in lags])
     lag = _lowest(lags, left)
@@ -90,12 +91,6 @@ def fit_gyro(turns: CameraRotations, imu: ImuData, offset_s: float) -> GyroFit |
 
 def _seconds(timestamp_ns: IntArray, origin_ns: int) -> FloatArray:
     return np.asarray(1e-9 * (timestamp_ns - origin_ns), dtype=np.float64)
-
-
-def _integral(at: FloatArray, rates: FloatArray) -> FloatArray:
-    """Integral (N, 3) of rates (N, 3) from the first time on, by trapezoids."""
-    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(at)[:, None]
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
 
 
 def _mean_rates(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ovmot.errors import OvmotError
 from ovmot.frontend.image_kernel import count_levels_compiled
-from ovmot.frontend.preprocessing import grey_percentiles
+from ovmot.frontend.preprocessing import for_kernels, grey_percentiles
 from ovmot.geometry.arrays import BoolArray, Image
 from ovmot.types import FeatureFrame, Picture, StereoFrame
 
@@ -61,7 +61,7 @@ def _judge(
     unlike = np.zeros(len(thin), dtype=np.bool_)
     equal = unlike if last is None else np.asarray((thin == last[0]).all(axis=1))
     kept = thin, equal
-    counts = count_levels_compiled(np.require(image, np.uint8, ["C", "W"]), _STEP)
+    counts = count_levels_compiled(for_kernels(image), _STEP)
     low, high = grey_percentiles(counts, (1.0, 99.0))
     if high - low < _FLAT_LEVELS:
         return Picture.FLAT, kept

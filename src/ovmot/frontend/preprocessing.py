@@ -106,7 +106,7 @@ def patch_image(image: Image, *, sigma_px: float = 0.8) -> Quads:
     weights = cv2.getGaussianKernel(5, sigma_px).ravel()
     outer = np.round(256.0 * weights[:2]).astype(np.int32)
     symmetric = np.append(outer, 256 - 2 * outer.sum()).astype(np.int32)
-    return smooth_to_words_compiled(_own(image), symmetric, MARGIN)
+    return smooth_to_words_compiled(for_kernels(image), symmetric, MARGIN)
 
 
 def inside_mask(uv: FloatArray, mask: Image | None) -> BoolArray:
@@ -139,7 +139,7 @@ def stretch_linearly(image: Image) -> Image:
     Unlike the curve of a histogram, a gain keeps what optical flow compares alike from frame to
     frame when the scene changes; it is limited so that night stays night.
     """
-    image = _own(image)
+    image = for_kernels(image)
     low, high = grey_percentiles(count_levels_compiled(image, 4), (2.0, 98.0))
     gain = min(255.0 / max(high - low, 1.0), _MAX_GAIN)
     return scale_levels_compiled(image, low, gain)
@@ -157,7 +157,7 @@ def grey_percentiles(counts: IntArray, percent: Sequence[float]) -> FloatArray:
     return out
 
 
-def _own(image: Image) -> Image:
+def for_kernels(image: Image) -> Image:
     """The image as kernels are compiled for: rows one after the other, in memory to be written."""
     return np.require(image, np.uint8, ["C", "W"])
 

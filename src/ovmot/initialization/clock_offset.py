@@ -49,7 +49,7 @@ def find_clock_offset(
     turns, sigma = _turns(path)
     samples = imu.between(int(imu_ns[0]) - reach_ns, int(imu_ns[-1]) + reach_ns)
     at = 1e-9 * (samples.timestamp_ns - imu_ns[0])
-    angle = _integral(at, samples.gyro)
+    angle = integrated_rates(at, samples.gyro)
     edges = 1e-9 * (imu_ns - imu_ns[0])
     lags = np.arange(-SEARCH_S, SEARCH_S + 0.5 * _STEP_S, _STEP_S)
     cost = np.array([_chi_squared(turns, sigma, at, angle, edges + lag) for lag in lags])
@@ -76,7 +76,7 @@ def _turns(path: StereoPath) -> tuple[FloatArray, FloatArray]:
     return turns, np.sqrt(np.diff(path.rotation_sigma**2))
 
 
-def _integral(at: FloatArray, rates: FloatArray) -> FloatArray:
+def integrated_rates(at: FloatArray, rates: FloatArray) -> FloatArray:
     """Integral (N, 3) of rates (N, 3) from the first time on, by trapezoids."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(at)[:, None]
     return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
