@@ -57,7 +57,10 @@ def test_every_key_has_a_help_text() -> None:
         ("duration_s: 3\ndrive: {speed: [[0, -2]]}\n", ["'drive.speed'", "0 to 40 m/s"]),
         ("duration_s: 3\nroad: {curvature: [[0, 3]]}\n", ["'road.curvature'", "-0.2 to 0.2"]),
         ("duration_s: 3\nalong: [{offset_m: 2}]\n", ["'along.0.start_m' is missing"]),
-        ("duration_s: 3\nalong: [{start_m: 2, offset_m: 2, kind: bus}]\n", ["along.0.kind", "bus"]),
+        (
+            "duration_s: 3\nalong: [{start_m: 2, offset_m: 2, kind: tram}]\n",
+            ["along.0.kind", "tram"],
+        ),
         ("duration_s: 3\nacross: [{at_m: .inf}]\n", ["'across.0.at_m'", "finite"]),
         ("duration_s: 3\nstreet: {crossing: [9, 3]}\n", ["'street.crossing'", "smaller"]),
         ("duration_s: [\n", ["not valid YAML"]),

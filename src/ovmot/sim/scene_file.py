@@ -18,10 +18,12 @@ from ovmot.settings_file import plain_messages, read_yaml_mapping
 
 CATALOG = Path(str(resources.files("ovmot.sim") / "catalog"))
 SCENES: tuple[str, ...] = (
-    "demo", "traffic", "crossing", "jam", "pullout", "empty", "night", "fisheye",
+    "demo", "traffic", "crossing", "jam", "pullout", "queue", "abreast", "trailer", "arm_in_arm",
+    "bus", "cyclists", "empty", "night", "fisheye",
 )  # fmt: skip
 MAX_DURATION_S = 600.0
 RigName = Literal["street", "fisheye"]
+Kind = Literal["car", "van", "truck", "bus", "car_trailer", "walker", "cyclist"]
 RIGS: tuple[str, ...] = get_args(RigName)
 _MOST_MOVERS = 255  # an object id is one byte of the truth images
 Knots = tuple[tuple[float, float], ...]
@@ -56,6 +58,8 @@ Speed = Annotated[Knots, AfterValidator(_rising), AfterValidator(_forward)]
 Curvature = Annotated[Knots, AfterValidator(_rising), AfterValidator(_gentle)]
 Stretch = Annotated[tuple[float, float], AfterValidator(_ordered)]
 Grey = Annotated[float, Field(ge=0.0, le=255.0)]
+Length = Annotated[float, Field(ge=0.2, le=30.0)]
+Size = tuple[Length, Length, Length]
 
 
 class RoadPart(Section):
@@ -98,8 +102,10 @@ class StreetPart(Section):
 class AlongPart(Section):
     """A mover that follows the road."""
 
-    kind: Literal["car", "van", "truck", "walker"] = "car"
-    """Its shape and size."""
+    kind: Kind = "car"
+    """Its shape and size; `car_trailer` is a car with a trailer on a bar, one rigid body."""
+    size: Size | None = None
+    """Its length, width and height, m; those of its kind without it."""
     start_m: float
     """Where it is at the first frame, m along the road."""
     offset_m: float
@@ -112,13 +118,17 @@ class AlongPart(Section):
     """Whether it comes towards the road's start."""
     grey: Grey | None = None
     """Mean grey of its paint; drawn without it."""
+    group: str | None = None
+    """Movers of one group are shifted and hurried alike by the seed, and may be close together."""
 
 
 class AcrossPart(Section):
     """A mover that goes straight, across the road or at any angle to it."""
 
-    kind: Literal["car", "van", "truck", "walker"] = "walker"
-    """Its shape and size."""
+    kind: Kind = "walker"
+    """Its shape and size; `car_trailer` is a car with a trailer on a bar, one rigid body."""
+    size: Size | None = None
+    """Its length, width and height, m; those of its kind without it."""
     at_m: float
     """The place along the road where it starts, m."""
     from_offset_m: float
@@ -129,6 +139,8 @@ class AcrossPart(Section):
     """Knots [s, m/s]."""
     grey: Grey | None = None
     """Mean grey of its paint; drawn without it."""
+    group: str | None = None
+    """Movers of one group are shifted and hurried alike by the seed, and may be close together."""
 
 
 class JitterPart(Section):
@@ -138,6 +150,8 @@ class JitterPart(Section):
     """Greatest change of the start, m along the mover's way."""
     speed: float = Field(0.1, ge=0.0, le=0.5)
     """Greatest change of its speed, as a share."""
+    size: float = Field(0.0, ge=0.0, le=0.3)
+    """Greatest change of its length, width and height, each as a share."""
 
 
 class LightPart(Section):

@@ -12,8 +12,8 @@ from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.profiles import Road
 from ovmot.sim.scene import Box, Texture, box_at, car_boxes
 from ovmot.sim.scene_file import LightPart, StreetPart
+from ovmot.sim.shapes import CAR_SIZE
 
-CAR_SIZE = np.array([4.4, 1.8, 1.45])
 _BEHIND_KERB_M = 1.8
 _SIDES = (-1.0, 1.0)
 

@@ -4,8 +4,9 @@ A seed shifts and slows or hurries each mover. It is drawn again, and with less 
 mover's outline on the ground stays clear of the rig's and of all other movers'.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -15,17 +16,11 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.paths import straight_path, traffic_path
 from ovmot.sim.profiles import Road, SmoothSteps
-from ovmot.sim.scene import Box, Mover, Texture, box_at, car_boxes, walker_boxes
+from ovmot.sim.scene import Box, Mover
 from ovmot.sim.scene_file import AcrossPart, AlongPart, SceneFile
-from ovmot.sim.street import CAR_SIZE, paint, texture_seed
+from ovmot.sim.shapes import CATEGORIES, SIZES, body_boxes, texture_cell
+from ovmot.sim.street import paint, texture_seed
 
-SIZES = {
-    "car": CAR_SIZE,
-    "van": np.array([5.2, 2.0, 2.3]),
-    "truck": np.array([8.0, 2.45, 3.3]),
-    "walker": np.array([0.4, 0.6, 1.75]),
-}
-CATEGORIES = {"car": "car", "van": "van", "truck": "truck", "walker": "pedestrian"}
 CLEARANCE_M = 0.4
 """Least gap between the outlines of two bodies."""
 _CHECK_STEP_S = 0.2
@@ -93,20 +88,23 @@ def make_movers(
     """
     way = _Way(road, rig_speed, times)
     parts: list[AlongPart | AcrossPart] = [*scene.along, *scene.across]
+    *look_rngs, size_rng = rng.spawn(len(parts) + 1)
+    sizes = _sizes(parts, scene.jitter.size, size_rng)
     looks = [
-        _look(scene, part, own) for part, own in zip(parts, rng.spawn(len(parts)), strict=True)
+        _look(scene, part, size, own)
+        for part, size, own in zip(parts, sizes, look_rngs, strict=True)
     ]
     draws = rng.uniform(-1.0, 1.0, (len(parts), _DRAWS, 2))
     for share in _SHARES:
         jitter = share * draws * (scene.jitter.start_m, scene.jitter.speed)
-        placed, blocked = _place(parts, jitter, way, rig)
+        placed, blocked = _place(parts, sizes, jitter, way, rig)
         if leave_out or not blocked:
             break
     if blocked and not leave_out:
-        raise InputError(_collision(scene, blocked[0], way, rig, placed))
+        raise InputError(_collision(scene, sizes, blocked[0], way, rig, placed))
     return tuple(
-        Mover(i + 1, CATEGORIES[parts[i].kind], SIZES[parts[i].kind], looks[i], path)
-        for i, path in placed.items()
+        Mover(i + 1, CATEGORIES[parts[i].kind], sizes[i], looks[i], placed[i])
+        for i in sorted(placed)
     )
 
 
@@ -126,28 +124,55 @@ class _Way:
 
 
 def _place(
-    parts: Sequence[AlongPart | AcrossPart], jitter: FloatArray, way: _Way, rig: Outline
-) -> tuple[dict[int, PoseSpline], list[int]]:
+    parts: Sequence[AlongPart | AcrossPart], sizes: Sequence[FloatArray], jitter: FloatArray,
+    way: _Way, rig: Outline,
+) -> tuple[dict[int, PoseSpline], list[int]]:  # fmt: skip
     """Paths by the parts' numbers, and the parts that found none; `jitter` is (M, draws, 2)."""
     bodies: list[Outline] = [rig]
     placed: dict[int, PoseSpline] = {}
-    for i, part in enumerate(parts):
-        for shift_m, share in jitter[i]:
-            path = way.path(part, float(shift_m), float(share))
-            body = Outline.along(path, way.times, SIZES[part.kind])
-            if not any(touching(body, other, CLEARANCE_M).any() for other in bodies):
-                bodies.append(body)
-                placed[i] = path
+    for members in _groups(parts):
+        for shift_m, share in jitter[members[0]]:
+            paths = {i: way.path(parts[i], float(shift_m), float(share)) for i in members}
+            found = [Outline.along(path, way.times, sizes[i]) for i, path in paths.items()]
+            if _is_free(found, bodies):
+                bodies += found
+                placed.update(paths)
                 break
     return placed, [i for i in range(len(parts)) if i not in placed]
 
 
+def _groups(parts: Sequence[AlongPart | AcrossPart]) -> list[list[int]]:
+    """The parts' numbers by their group, in the order of the first of each."""
+    groups: dict[str | int, list[int]] = {}
+    for i, part in enumerate(parts):
+        groups.setdefault(i if part.group is None else part.group, []).append(i)
+    return list(groups.values())
+
+
+def _is_free(group: Sequence[Outline], others: Sequence[Outline]) -> bool:
+    """Whether a group keeps clear of all others, and its members out of each other."""
+    return not any(
+        touching(body, other, CLEARANCE_M).any() for body in group for other in others
+    ) and not any(touching(a, b).any() for a, b in combinations(group, 2))
+
+
+def _sizes(
+    parts: Sequence[AlongPart | AcrossPart], share: float, rng: np.random.Generator
+) -> list[FloatArray]:
+    """Length, width and height (3,) of each part, changed by up to `share`."""
+    factor = 1.0 + share * rng.uniform(-1.0, 1.0, (len(parts), 3))
+    return [
+        factor[i] * (SIZES[part.kind] if part.size is None else np.array(part.size))
+        for i, part in enumerate(parts)
+    ]
+
+
 def _look(
-    scene: SceneFile, part: AlongPart | AcrossPart, rng: np.random.Generator
+    scene: SceneFile, part: AlongPart | AcrossPart, size: FloatArray, rng: np.random.Generator
 ) -> tuple[Box, ...]:
     mean = float(rng.uniform(*scene.light.paint)) if part.grey is None else part.grey
-    cell_m = 0.3 if part.kind == "walker" else 0.7
-    return _boxes(part.kind, SIZES[part.kind], paint(mean, scene.light, texture_seed(rng), cell_m))
+    look = paint(mean, scene.light, texture_seed(rng), texture_cell(part.kind))
+    return body_boxes(part.kind, size, look)
 
 
 def _speed(part: AlongPart | AcrossPart, rig_speed: SmoothSteps, factor: float) -> SmoothSteps:
@@ -175,65 +200,29 @@ def _path(
 
 
 def _collision(
-    scene: SceneFile, blocked: int, way: _Way, rig: Outline, placed: dict[int, PoseSpline]
-) -> str:
+    scene: SceneFile, sizes: Sequence[FloatArray], blocked: int, way: _Way, rig: Outline,
+    placed: Mapping[int, PoseSpline],
+) -> str:  # fmt: skip
     parts: list[AlongPart | AcrossPart] = [*scene.along, *scene.across]
     names = [f"along.{i}" for i in range(len(scene.along))]
     names += [f"across.{i}" for i in range(len(scene.across))]
 
     def outline(i: int, path: PoseSpline) -> Outline:
-        return Outline.along(path, way.times, SIZES[parts[i].kind])
+        return Outline.along(path, way.times, sizes[i])
 
-    body = outline(blocked, way.path(parts[blocked], 0.0, 0.0))
-    others = {"the rig": rig, **{names[i]: outline(i, path) for i, path in placed.items()}}
-    hits = {name: touching(body, other, CLEARANCE_M) for name, other in others.items()}
-    name = next(name for name, hit in hits.items() if hit.any())
-    seconds = 1e-9 * float(way.times[int(np.argmax(hits[name]))] - way.times[0])
-    return f"scene: {names[blocked]} touches {name} at {seconds:.1f} s; change its start or speed"
-
-
-def _boxes(kind: str, size: FloatArray, look: Texture) -> tuple[Box, ...]:
-    shapes: dict[str, Callable[[FloatArray, Texture], tuple[Box, ...]]] = {
-        "car": car_boxes, "van": _van_boxes, "truck": _truck_boxes, "walker": walker_boxes,
-    }  # fmt: skip
-    return shapes[kind](size, look)
-
-
-def _van_boxes(size: FloatArray, look: Texture) -> tuple[Box, ...]:
-    """A tall body behind a low bonnet."""
-    length, width, height = (float(x) for x in size)
-    floor, waist, bonnet = 0.1 * height, 0.55 * height, 0.18 * length
-    dark = Texture(0.7 * look.mean, look.contrast, look.cell_m, look.seed + 1)
-    return (
-        box_at(
-            (-0.5 * bonnet, 0.0, 0.5 * (floor + height)),
-            (length - bonnet, width, height - floor), look,
-        ),
-        box_at(
-            (0.5 * (length - bonnet), 0.0, 0.5 * (floor + waist)),
-            (bonnet, 0.96 * width, waist - floor), dark,
-        ),
-    )  # fmt: skip
-
-
-def _truck_boxes(size: FloatArray, look: Texture) -> tuple[Box, ...]:
-    """A cargo box above a frame, and a cab before it."""
-    length, width, height = (float(x) for x in size)
-    cab, gap, deck = 0.24 * length, 0.03 * length, 0.3 * height
-    dark = Texture(0.5 * look.mean, look.contrast, look.cell_m, look.seed + 1)
-    paint_cab = Texture(0.8 * look.mean, look.contrast, look.cell_m, look.seed + 2)
-    cargo = length - cab - gap
-    return (
-        box_at(
-            (-0.5 * (length - cargo), 0.0, 0.5 * (deck + height)), (cargo, width, height - deck),
-            look,
-        ),
-        box_at((-0.5 * cab, 0.0, 0.65 * deck), (length - cab, 0.8 * width, 0.7 * deck), dark),
-        box_at(
-            (0.5 * (length - cab), 0.0, 0.45 * height), (cab, 0.95 * width, 0.72 * height),
-            paint_cab,
-        ),
-    )  # fmt: skip
+    bodies = {"the rig": rig, **{names[i]: outline(i, path) for i, path in placed.items()}}
+    group = next(members for members in _groups(parts) if blocked in members)
+    for i in group:
+        body = outline(i, way.path(parts[i], 0.0, 0.0))
+        for name, other in bodies.items():
+            gap_m = 0.0 if name in [names[k] for k in group] else CLEARANCE_M
+            hit = touching(body, other, gap_m)
+            if hit.any():
+                seconds = 1e-9 * float(way.times[int(np.argmax(hit))] - way.times[0])
+                where = f"{names[i]} touches {name} at {seconds:.1f} s"
+                return f"scene: {where}; change its start or speed"
+        bodies[names[i]] = body
+    raise AssertionError("a body that is blocked touches another")
 
 
 def carrier_outline(
