@@ -2,12 +2,13 @@
 
 import contextlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from rich.table import Table
 
+from ovmot.cameras.camera import Camera
 from ovmot.datasets.find_truth import find_ego_truth, find_object_truth
 from ovmot.datasets.pose_files import Trajectory, interpolate_poses
 from ovmot.datasets.registry import open_sequence
@@ -15,6 +16,7 @@ from ovmot.datasets.truth import EgoTruth, ObjectTruth
 from ovmot.errors import InputError, OvmotError
 from ovmot.evaluation.calibration import CalibrationErrors, calibration_scalars
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
+from ovmot.evaluation.headline import HEADLINES, NOTES, headline
 from ovmot.evaluation.labels import LabelCounts, count_labels
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria, compare_frames
 from ovmot.evaluation.objects import (
@@ -25,10 +27,20 @@ from ovmot.evaluation.objects import (
     object_scalars,
 )
 from ovmot.evaluation.stereo_gate import GateCounts, count_gate
+from ovmot.evaluation.track_quality import confirmed_scalars
 from ovmot.evaluation.trajectory import associate_stamps
+from ovmot.geometry import se3
+from ovmot.geometry.arrays import FloatArray
 from ovmot.outputs.finished_run import Run
 from ovmot.outputs.run_json import RUN_JSON
-from ovmot.outputs.run_reader import EgoRun, read_ego_run, read_matches, read_points, read_tracks
+from ovmot.outputs.run_reader import (
+    EgoRun,
+    Tracks,
+    read_ego_run,
+    read_matches,
+    read_points,
+    read_tracks,
+)
 from ovmot.outputs.run_writer import EVALUATION_FILES
 from ovmot.text_files import StrPath, read_text
 
@@ -41,6 +53,7 @@ class Evaluation:
     """All that was measured; None where the run or the truth lacks what it takes."""
 
     ego: EgoMetrics
+    confirmed: dict[str, float | None] = field(default_factory=dict)
     frames: tuple[ComparedFrame, ...] = ()
     objects: ObjectMetrics | None = None
     labels: LabelCounts | None = None
@@ -56,7 +69,7 @@ class Evaluation:
         the calibration."""
         return (
             scalars(self.ego),
-            {} if self.objects is None else object_scalars(self.objects),
+            self.confirmed | ({} if self.objects is None else object_scalars(self.objects)),
             {} if self.labels is None else label_scalars(self.labels),
             {} if self.gate is None else gate_scalars(self.gate),
             {} if self.calibration is None else calibration_scalars(self.calibration),
@@ -110,17 +123,34 @@ def _evaluation(run: Path, truth: Path, sequence: str | None, wanted: ObjectCrit
     ego_truth = _at_poses_of(ego_run, known)
     ego = evaluate_ego(ego_run, ego_truth)
     true_objects = _objects_of(truth, sequence, known)
+    tracks = read_tracks(run)
+    confirmed = {} if tracks is None else confirmed_scalars(tracks, ego_run.timestamp_ns)
     if true_objects is None:
-        return Evaluation(ego)
-    frames = _compared(run, ego_run, ego_truth, true_objects, wanted)
+        return Evaluation(ego, confirmed)
+    frames = _compared(tracks, ego_run, ego_truth, true_objects, wanted)
     points, matches = read_points(run), read_matches(run)
     with_ids = points is not None and true_objects.has_ids
     labels = None if points is None or not with_ids else count_labels(points, true_objects, wanted)
     gate = None
     if matches is not None and true_objects.has_depth:
         gate = count_gate(matches, true_objects, open_sequence(truth).rig)
-    objects = evaluate_objects(frames, wanted) if frames else None
-    return Evaluation(ego, frames, objects, labels, gate)
+    objects = None
+    if frames:
+        objects = evaluate_objects(frames, wanted, _left_camera(truth, sequence, true_objects))
+    return Evaluation(ego, confirmed, frames, objects, labels, gate)
+
+
+def _left_camera(
+    data: Path, sequence: str | None, truth: ObjectTruth
+) -> tuple[Camera, FloatArray] | None:
+    """The left camera and T_cam0_imu (4, 4); None where the data does not say, as a bag."""
+    if truth.image_rules is not None:
+        return truth.image_rules.camera, truth.image_rules.T_cam0_imu
+    try:
+        rig = open_sequence(data, sequence=sequence).rig
+    except InputError:
+        return None
+    return rig.cam0, se3.inverse(rig.T_imu_cam0)
 
 
 def write_metrics(run: StrPath, evaluation: Evaluation) -> None:
@@ -149,15 +179,26 @@ def write_plots(run: StrPath, evaluation: Evaluation) -> None:
     save_figure(map_figure(series, evaluation.frames), folder / _MAP)
 
 
-def metrics_table(evaluation: Evaluation) -> Table:
-    """The metrics for a terminal in groups; those without a value are left out."""
-    table = Table("metric", "value", title="against the truth")
-    for group in evaluation.groups():
-        for name, value in group.items():
-            if value is not None:
-                table.add_row(name, f"{value:.0f}" if value == round(value) else f"{value:.4g}")
-        table.add_section()
+def metrics_table(evaluation: Evaluation, *, everything: bool = False) -> Table:
+    """The metrics to read first, for a terminal; with `everything` all that have a value."""
+    table = Table("metric", "value", "meaning", title="against the truth")
+    if everything:
+        for group in evaluation.groups():
+            for name, value in group.items():
+                if value is not None:
+                    table.add_row(name, _written(value), HEADLINES.get(name) or NOTES.get(name, ""))
+            table.add_section()
+        return table
+    values = evaluation.scalars()
+    for name in headline(values):
+        table.add_row(name, _written(values[name]), HEADLINES[name])
     return table
+
+
+def _written(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.0f}" if value == round(value) else f"{value:.4g}"
 
 
 def _at_poses_of(run: EgoRun, truth: EgoTruth) -> EgoTruth:
@@ -190,9 +231,9 @@ def _objects_of(data: Path, sequence: str | None, ego: EgoTruth) -> ObjectTruth 
 
 
 def _compared(
-    run: Path, ego_run: EgoRun, ego_truth: EgoTruth, truth: ObjectTruth, criteria: ObjectCriteria
-) -> tuple[ComparedFrame, ...]:
-    tracks = read_tracks(run)
+    tracks: Tracks | None, ego_run: EgoRun, ego_truth: EgoTruth, truth: ObjectTruth,
+    criteria: ObjectCriteria,
+) -> tuple[ComparedFrame, ...]:  # fmt: skip
     if tracks is None:
         return ()
     of_truth, of_run = associate_stamps(ego_truth.timestamp_ns, ego_run.timestamp_ns, _MAX_GAP_NS)

@@ -58,7 +58,7 @@ def _rows(frame: TrueObjects, ids: Any, position: FloatArray) -> tuple[Any, ...]
     nothing = np.zeros(n)
     return (
         np.full(n, frame.timestamp_ns), ids.astype(np.int64), position, np.zeros((n, 3)), nothing,
-        nothing, np.ones((n, 3)), np.ones((n, 6)),
+        nothing, np.ones((n, 3)), np.ones((n, 6)), np.ones((n, 5)),
     )  # fmt: skip
 
 

@@ -233,6 +233,9 @@ def evaluate(
     ] = None,
     sequence: SequenceOption = None,
     plots: Annotated[bool, typer.Option(help="Draw plots beside metrics.json.")] = True,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show every metric, not only the first ones.")
+    ] = False,
 ) -> None:
     """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
     with interruptible(NOTHING_WRITTEN):
@@ -240,7 +243,9 @@ def evaluate(
     ovmot.write_metrics(run, evaluation)
     if plots:
         ovmot.write_plots(run, evaluation)
-    show(ovmot.metrics_table(evaluation))
+    show(ovmot.metrics_table(evaluation, everything=everything))
+    if not everything:
+        say(f"every metric: {run / 'metrics.json'}, or --all")
 
 
 @app.command()

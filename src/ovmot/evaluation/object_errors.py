@@ -17,8 +17,9 @@ class PairErrors:
 
     `velocity` (M, 3) in the body frame, m/s, and `velocity_world` in the run's world, of which
     `velocity_sigma` (M, 3) is the stated one-sigma; `speed` (M,) of the horizontal part;
-    `yaw_rate` (M,) rad/s; `heading` (M,) rad in -π..π; `size` (M, 3) m; `distance` (M,) of the
-    centre to the true box, m.
+    `position_world` (M, 3) of the box's centre in the run's world, with `position_sigma` (M, 3);
+    `yaw_rate` (M,) rad/s; `heading` (M,) rad in -π..π; `size` (M, 3) m; `box_sigma` (M, 5) of size,
+    heading and yaw rate; `distance` (M,) of the centre to the true box, m.
     `motion_m`, `motion_rad` (M,): of the motion to the next frame, see `motion_errors`.
     """
 
@@ -30,6 +31,9 @@ class PairErrors:
     size: FloatArray
     distance: FloatArray
     velocity_sigma: FloatArray
+    position_world: FloatArray
+    position_sigma: FloatArray
+    box_sigma: FloatArray
     motion_m: FloatArray
     motion_rad: FloatArray
 
@@ -56,6 +60,7 @@ def _frame_errors(frame: ComparedFrame) -> tuple[FloatArray, ...]:
     i, j = frame.pairs.T
     objects, tracks = frame.objects, frame.tracks
     R_body_true, R_body_run = frame.T_true[:3, :3].T, frame.T_run[:3, :3].T
+    T_run_true = frame.T_run @ se3.inverse(frame.T_true)
     v_true = objects.velocity[i] @ R_body_true.T
     v_run = tracks.velocity[j] @ R_body_run.T
     turn = _yaw(frame.T_true[:3, :3] @ R_body_run)
@@ -70,6 +75,9 @@ def _frame_errors(frame: ComparedFrame) -> tuple[FloatArray, ...]:
         tracks.size[j] - objects.size[i],
         frame.distance[i, j],
         tracks.std[j, 3:],
+        tracks.position[j] - se3.apply(T_run_true, objects.center[i]),
+        tracks.std[j, :3],
+        tracks.std_box[j],
     )
 
 

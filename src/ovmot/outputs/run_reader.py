@@ -25,6 +25,7 @@ LABELS = ("unknown", "static", "dynamic")
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 _SIZE = ("length", "width", "height")
 _STD = ("std_x", "std_y", "std_z", "std_vx", "std_vy", "std_vz")
+_STD_BOX = ("std_length", "std_width", "std_height", "std_yaw", "std_yaw_rate")
 REMEDY = "run it again, or give another run"
 
 
@@ -53,7 +54,8 @@ class Tracks:
     """Rows (M,) of confirmed tracks in the run's world, one per track and frame; SI units.
 
     `position`, `velocity` and `size` (M, 3), size as length, width, height; `yaw` and `yaw_rate`
-    (M,); `std` (M, 6): standard deviation of position and velocity. `timestamp_ns`, `track_id`
+    (M,); `std` (M, 6): standard deviation of position and velocity; `std_box` (M, 5): of length,
+    width, height, yaw and yaw rate, NaN where the run does not say. `timestamp_ns`, `track_id`
     (M,).
     """
 
@@ -65,6 +67,7 @@ class Tracks:
     yaw_rate: FloatArray
     size: FloatArray
     std: FloatArray
+    std_box: FloatArray
 
     def at(self, timestamp_ns: int) -> "Tracks":
         """The rows of one frame."""
@@ -75,6 +78,7 @@ class Tracks:
         return Tracks(
             self.timestamp_ns[kept], self.track_id[kept], self.position[kept], self.velocity[kept],
             self.yaw[kept], self.yaw_rate[kept], self.size[kept], self.std[kept],
+            self.std_box[kept],
         )  # fmt: skip
 
 
@@ -155,11 +159,11 @@ def read_tracks(run: Path) -> Tracks | None:
     if not path.is_file():
         return None
     columns = ("track_id", *_POSITION, *_VELOCITY, "yaw", "yaw_rate", *_SIZE, *_STD)
-    table = read_table(path, columns, ("state",))
-    parts = np.split(table.values, (1, 4, 7, 8, 9, 12), axis=1)
+    table = read_table(path, columns, ("state",), optional=_STD_BOX)
+    parts = np.split(table.values, (1, 4, 7, 8, 9, 12, 18), axis=1)
     tracks = Tracks(
         table.timestamp_ns, parts[0][:, 0].astype(np.int64), parts[1], parts[2], parts[3][:, 0],
-        parts[4][:, 0], parts[5], parts[6],
+        parts[4][:, 0], parts[5], parts[6], parts[7],
     )  # fmt: skip
     confirmed = np.array([state == "confirmed" for state in table.texts["state"]], dtype=np.bool_)
     tracks = tracks.rows(confirmed)
@@ -215,10 +219,17 @@ def read_calibration(run: Path) -> CalibrationDeviations | None:
     return CalibrationDeviations(table.timestamp_ns, names, value, sigma)
 
 
-def read_table(path: Path, columns: tuple[str, ...], texts: tuple[str, ...] = ()) -> Table:
+def read_table(
+    path: Path,
+    columns: tuple[str, ...],
+    texts: tuple[str, ...] = (),
+    optional: tuple[str, ...] = (),
+) -> Table:
     """The column `timestamp_ns`, the named columns of numbers and those of text.
 
-    An empty field of numbers is NaN. Raises `InputError` with the row of whatever is wrong.
+    An empty field of numbers is NaN, and so is a whole column of the `optional` ones, which come
+    behind the others, where the file lacks it. Raises `InputError` with the row of whatever is
+    wrong.
     """
     stamps: list[int] = []
     values: list[list[float]] = []
@@ -232,6 +243,7 @@ def read_table(path: Path, columns: tuple[str, ...], texts: tuple[str, ...] = ()
         raise InputError.at(path, f"has no column '{missing[0]}'", REMEDY, row=1)
     at = header.index("timestamp_ns")
     where = [header.index(name) for name in columns]
+    extra = [header.index(name) if name in header else None for name in optional]
     where_text = {name: header.index(name) for name in texts}
     for number, fields in enumerate(rows, start=2):
         if len(fields) != len(header):
@@ -239,12 +251,14 @@ def read_table(path: Path, columns: tuple[str, ...], texts: tuple[str, ...] = ()
             raise InputError.at(path, problem, REMEDY, row=number)
         try:
             stamps.append(int(fields[at]))
-            values.append([float(fields[k] or "nan") for k in where])
+            numbers = [float(fields[k] or "nan") for k in where]
+            numbers += [float("nan" if k is None else fields[k] or "nan") for k in extra]
+            values.append(numbers)
         except ValueError as error:
             raise InputError.at(path, f"is not a number: {error}", REMEDY, row=number) from None
         for name, k in where_text.items():
             found[name].append(fields[k])
-    array = np.array(values, dtype=np.float64).reshape(-1, len(columns))
+    array = np.array(values, dtype=np.float64).reshape(-1, len(columns) + len(optional))
     return Table(np.array(stamps, dtype=np.int64), array, found)
 
 
