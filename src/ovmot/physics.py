@@ -69,6 +69,21 @@ MAX_VEHICLE_SIZE_M = (18.75, 2.6, 4.0)
 WALKER_MPS, WALKER_SIGMA_MPS = 1.34, 0.26
 """Mean speed of walkers and its standard deviation (U. Weidmann, Transporttechnik der Fussgänger,
 1993)."""
+CYCLIST_MPS, CYCLIST_SIGMA_MPS = 4.25, 1.2
+"""Mean speed of cyclists on ordinary bicycles in town, 15.3 km/h (K. Schleinitz et al., Safety
+Science 92, 2017), and its standard deviation."""
+MAX_ROAD_MPS = (8.0, 14.0, 36.0)
+"""Greatest speeds of walkers (who sprint), cyclists (50 km/h, downhill) and vehicles (130 km/h)."""
+ODD_SPEED_SHARE = 0.05
+"""Probability that a walker or cyclist goes at none of the usual speeds above."""
+WALKER_SIZE_M = (0.75, 0.5, 1.72)
+"""Length in mid-step, breadth of the shoulders and height of a person (step: Weidmann, 1993;
+breadth and height: DIN 33402-2, mean of the medians)."""
+CYCLIST_SIZE_M = (1.8, 0.6, 1.75)
+"""Length of a bicycle, breadth of its handlebar, height of the rider on it (ISO 4210)."""
+SIZE_SPREAD = 0.1
+"""Standard deviation of a body's length, width and height within its class, as a share; of heights
+of people it is 4 %, and clothes, bags and steps add to it."""
 # A rig at rest on its springs or its tripod.
 REST_SHIFT_M = 0.01
 """A body that rocks on its springs moves its camera by up to this."""

@@ -4,7 +4,7 @@ Frozen dataclasses over NumPy arrays: a function that changes one returns a new 
 integer nanoseconds, everything else in SI units. `T_a_b` maps points of frame b into frame a.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 
 import numpy as np
@@ -368,6 +368,8 @@ class ObjectTrack:
         Features seen of it in this frame.
     std_position, std_velocity
         1-sigma (3,) of position and velocity, m and m/s.
+    class_probability
+        Probability (3,) that it moves as a walker, a cyclist, a vehicle; NaN where not known.
     """
 
     track_id: int
@@ -381,6 +383,7 @@ class ObjectTrack:
     n_points: int
     std_position: FloatArray
     std_velocity: FloatArray
+    class_probability: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,4 +126,5 @@ def _track() -> ObjectTrack:
         velocity=np.array([-4.0, 0.25, 0.0]), yaw=0.1, yaw_rate=NAN,
         size=np.array([4.0, 1.75, 1.5]), box_px=np.array([50.0, 40.0, 90.5, 80.0]), n_points=12,
         std_position=np.array([0.1, 0.2, 0.3]), std_velocity=np.array([0.4, 0.5, NAN]),
+        class_probability=np.array([0.125, 0.25, 0.625]),
     )  # fmt: skip

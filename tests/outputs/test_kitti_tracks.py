@@ -97,17 +97,18 @@ def test_a_body_out_of_the_image_has_no_row(labelled: ObjectTrack, box: list[flo
 
 
 @pytest.mark.parametrize(
-    ("size", "speed", "kind"),
+    ("probability", "kind"),
     [
-        ((0.4, 0.6, 1.7), 1.4, "Pedestrian"),
-        ((0.4, 0.6, 1.7), 8.0, "Car"),
-        ((0.3, 1.6, 1.2), 1.4, "Car"),
+        ((0.7, 0.2, 0.1), "Pedestrian"),
+        ((0.3, 0.6, 0.1), "Cyclist"),
+        ((0.1, 0.2, 0.7), "Car"),
+        ((float("nan"),) * 3, "Misc"),
     ],
 )
-def test_the_type_follows_size_and_speed(
-    labelled: ObjectTrack, size: tuple[float, float, float], speed: float, kind: str
+def test_the_type_is_the_most_probable_class(
+    labelled: ObjectTrack, probability: tuple[float, ...], kind: str
 ) -> None:
-    track = replace(labelled, size=np.array(size), velocity=np.array([speed, 0.0, 0.0]))
+    track = replace(labelled, class_probability=np.array(probability))
     row = kitti_row(track, T_CAM0_WORLD, CAMERA)
     assert row is not None
     assert row[1] == kind

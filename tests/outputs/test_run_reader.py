@@ -188,6 +188,17 @@ def test_only_confirmed_tracks_count(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tracks.std[0], [0.1, 0.1, 0.1, 0.2, 0.2, 0.2])
 
 
+def test_sigmas_of_the_box_are_read_by_name_where_they_are(tmp_path: Path) -> None:
+    row = ROW.format(id=1, state="confirmed")
+    older = read_tracks(write(tmp_path / "tracks.csv", TRACK_COLUMNS, row))
+    assert older is not None
+    assert np.isnan(older.std_box).all()
+    columns = f"{TRACK_COLUMNS},std_yaw,other,std_length,std_width,std_height,std_yaw_rate"
+    newer = read_tracks(write(tmp_path / "tracks.csv", columns, f"{row},0.4,9,0.1,0.2,,0.5"))
+    assert newer is not None
+    np.testing.assert_array_equal(newer.std_box, [[0.1, 0.2, np.nan, 0.4, 0.5]])
+
+
 def test_a_run_without_these_files(tmp_path: Path) -> None:
     assert read_tracks(tmp_path) is None
     assert read_points(tmp_path) is None

@@ -17,7 +17,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 SIDE_SHARE = 0.25
 """A side is seen that takes at least this share of the body's angle of view."""
 WHOLE_SHARE = 0.8
-"""Nothing hides a body that shows this share of what it shows at best, for its size in the image."""
+"""Nothing hides a body that shows this share of what it shows at best, of its box's outline."""
 _SAME_RAY = 1e-3
 _CORNERS = 0.5 * np.array(
     [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
@@ -108,4 +108,4 @@ def _shown_share(frame: ComparedFrame, camera: Camera, T_cam0_imu: FloatArray) -
 def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
     """Angle (N,) between directions (N, 2), rad."""
     cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return np.abs(np.arctan2(cross, np.sum(a * b, axis=1)))
+    return np.asarray(np.abs(np.arctan2(cross, np.sum(a * b, axis=1))))

@@ -1,4 +1,4 @@
-"""Tracks as wholes: how smoothly they move, which of them are false, and when they are confirmed."""
+"""Tracks as wholes: how smoothly they move, which are false, and when they are confirmed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -11,6 +11,7 @@ from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import Feedback
 from ovmot.objects.measurement import measure_objects
+from ovmot.objects.motion_class import SpeedHistory, classified
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.settings import Settings
@@ -59,6 +60,7 @@ class MovingObjects:
         self._of_points = settings.segmentation
         self._tracker = ObjectTracker(rig, settings.object_tracks)
         self._rng = np.random.default_rng(settings.objects.seed)
+        self._speeds: dict[int, SpeedHistory] = {}
 
     def step(
         self,
@@ -93,6 +95,7 @@ class MovingObjects:
         tracks, points = tracker.step(
             now_ns, measurements, points, T_world_cam0, history.noise.sigma_px
         )
+        self._speeds, tracks = classified(self._speeds, tracks, now_ns)
         held = held_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.predicted_velocities(points)
         uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)

@@ -18,7 +18,7 @@ from ovmot.geometry.arrays import FloatArray
 from ovmot.outputs.rows import RowFile, format_rows
 from ovmot.types import FrameResult, ObjectTrack
 
-_WALKER_WIDTH_M, _WALKER_MPS = 1.2, 3.0
+_TYPES = ("Pedestrian", "Cyclist", "Car")  # of walkers, cyclists, vehicles
 
 Row = tuple[int | float | str, ...]
 
@@ -26,8 +26,9 @@ Row = tuple[int | float | str, ...]
 class KittiTracks:
     """Confirmed tracks, one row per track and frame; a track without a measurement is left out.
 
-    Truncated and occluded are -1: the geometry does not give them. The type is `Pedestrian` for
-    what is narrow and slow, else `Car`; the score is the number of points seen of the body.
+    Truncated and occluded are -1: the geometry does not give them. The type is that of the most
+    probable class of motion, `Pedestrian`, `Cyclist` or `Car`, else `Misc`; the score is the number
+    of points seen of the body.
     """
 
     _row = "%d %d %s -1 -1 %.6f" + " %.2f" * 4 + " %.4f" * 6 + " %.6f %d"
@@ -72,7 +73,6 @@ def kitti_row(track: ObjectTrack, T_cam0_world: FloatArray, camera: Camera) -> R
 
 
 def _kind(track: ObjectTrack) -> str:
-    """The type by size and speed, since no class is learned."""
-    narrow = max(track.size[0], track.size[1]) < _WALKER_WIDTH_M
-    slow = np.linalg.norm(track.velocity) < _WALKER_MPS
-    return "Pedestrian" if narrow and slow else "Car"
+    """The type of the most probable class of motion."""
+    probability = track.class_probability
+    return _TYPES[int(np.argmax(probability))] if np.all(np.isfinite(probability)) else "Misc"

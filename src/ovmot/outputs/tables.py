@@ -178,9 +178,13 @@ class TracksTable:
 
     columns = (
         "timestamp_ns,track_id,state,x,y,z,vx,vy,vz,yaw,yaw_rate,length,width,height,"
-        "u_min,v_min,u_max,v_max,n_points,std_x,std_y,std_z,std_vx,std_vy,std_vz"
+        "u_min,v_min,u_max,v_max,n_points,std_x,std_y,std_z,std_vx,std_vy,std_vz,"
+        "p_walker,p_cyclist,p_vehicle"
     )
-    _row = "%d,%d,%s" + ",%.4f" * 6 + ",%.6f" * 2 + ",%.4f" * 3 + ",%.2f" * 4 + ",%d" + ",%.4f" * 6
+    _row = (
+        "%d,%d,%s" + ",%.4f" * 6 + ",%.6f" * 2 + ",%.4f" * 3 + ",%.2f" * 4 + ",%d" + ",%.4f" * 6
+        + ",%.4f" * 3
+    )  # fmt: skip
 
     def __init__(self, path: Path) -> None:
         self._file = RowFile(path, self.columns + "\n")
@@ -190,7 +194,7 @@ class TracksTable:
             (
                 result.timestamp_ns, track.track_id, track.state, *track.position, *track.velocity,
                 track.yaw, track.yaw_rate, *track.size, *track.box_px, track.n_points,
-                *track.std_position, *track.std_velocity,
+                *track.std_position, *track.std_velocity, *track.class_probability,
             )
             for track in result.tracks
         ]  # fmt: skip

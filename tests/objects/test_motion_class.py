@@ -1,0 +1,111 @@
+"""Classes of motion: what sizes and speeds say, alone and together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from ovmot.geometry.arrays import FloatArray
+from ovmot.objects.motion_class import (
+    CLASSES,
+    MAX_ROAD_MPS,
+    SpeedHistory,
+    class_probability,
+    classified,
+    no_history,
+    size_log_likelihood,
+    speed_log_likelihood,
+    with_speed,
+)
+from ovmot.types import ObjectTrack
+
+FRAME_NS = 100_000_000
+SHARP = np.full(3, 0.05)
+
+
+def driven(speeds: list[float], sigma: float = 0.2) -> SpeedHistory:
+    history = no_history(0)
+    for k, speed in enumerate(speeds):
+        history = with_speed(history, k * FRAME_NS, speed, sigma)
+    return history
+
+
+def probability(speeds: list[float], size: tuple[float, float, float]) -> dict[str, float]:
+    found = class_probability(driven(speeds), np.array(size), SHARP)
+    return dict(zip(CLASSES, found.tolist(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("speeds", "size", "name"),
+    [
+        ([1.3] * 10, (0.5, 0.45, 1.7), "walker"),
+        ([1.5] * 10, (0.7, 0.3, 1.2), "walker"),  # seen in part
+        ([1.4, 1.4, 1.3, 3.0, 1.4, 1.4], (0.6, 0.5, 1.7), "walker"),  # one wrong speed
+        ([4.5] * 10, (1.6, 0.5, 1.6), "cyclist"),
+        ([2.5] * 10, (1.7, 0.5, 1.7), "cyclist"),
+        ([9.0] * 10, (4.0, 1.7, 1.4), "vehicle"),
+        ([1.3] * 20, (4.0, 1.7, 1.4), "vehicle"),  # creeps in a jam
+        ([4.2] * 20, (4.0, 1.7, 1.4), "vehicle"),
+        ([6.0] * 10, (11.5, 2.4, 3.0), "vehicle"),
+        ([16.0] * 10, (1.0, 0.5, 1.0), "vehicle"),  # a part of one, faster than any cyclist
+        ([0.1] * 10, (4.0, 1.7, 1.4), "vehicle"),
+    ],
+)
+def test_usual_road_users(speeds: list[float], size: tuple[float, float, float], name: str) -> None:
+    found = probability(speeds, size)
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert max(found, key=lambda k: found[k]) == name
+    assert found[name] > 0.6
+
+
+def test_length_and_width_may_be_swapped() -> None:
+    a = size_log_likelihood(np.array([1.7, 0.5, 1.7]), SHARP)
+    b = size_log_likelihood(np.array([0.5, 1.7, 1.7]), SHARP)
+    np.testing.assert_array_equal(a, b)
+
+
+def test_what_is_not_known_of_the_size_says_nothing() -> None:
+    found = class_probability(no_history(0), np.full(3, np.nan), SHARP)
+    np.testing.assert_allclose(found, 1.0 / 3.0)
+
+
+def test_slow_speeds_say_nothing_and_more_time_says_more() -> None:
+    size = np.full(3, np.nan)
+    np.testing.assert_allclose(class_probability(driven([0.2] * 50), size, SHARP), 1.0 / 3.0)
+    short, long = (class_probability(driven([1.4] * n), size, SHARP)[0] for n in (2, 60))
+    assert 1.0 / 3.0 < short < long
+    # frames of one manoeuvre are one observation: ten times the rate says no more
+    often = no_history(0)
+    for k in range(600):
+        often = with_speed(often, k * FRAME_NS // 10, 1.4, 0.2)
+    assert class_probability(often, size, SHARP)[0] == pytest.approx(long, abs=0.01)
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_the_speeds_likelihood_is_a_density(k: int) -> None:
+    def density(speed: float) -> float:
+        return float(np.exp(speed_log_likelihood(speed, 0.01)[k]))
+
+    total = quad(density, 0.0, MAX_ROAD_MPS[k] + 1.0, points=(1.34, 4.25), limit=200)[0]
+    assert total == pytest.approx(1.0, abs=0.01)
+
+
+def track_of(track_id: int, speed: float, size: FloatArray) -> ObjectTrack:
+    return ObjectTrack(
+        track_id=track_id, state="confirmed", position=np.zeros(3),
+        velocity=np.array([0.0, speed, 0.0]), yaw=0.0, yaw_rate=0.0, size=size,
+        box_px=np.zeros(4), n_points=9, std_position=SHARP, std_velocity=SHARP,
+    )  # fmt: skip
+
+
+def test_tracks_of_a_frame_get_their_classes_and_keep_their_histories() -> None:
+    walker = track_of(4, 1.4, np.array([0.5, 0.4, 1.7]))
+    car = track_of(7, 9.0, np.array([4.2, 1.7, 1.4]))
+    assert np.all(np.isnan(walker.class_probability))
+    histories, named = classified({}, (walker, car), 0)
+    assert [int(np.argmax(t.class_probability)) for t in named] == [0, 2]
+    assert replace(named[0], class_probability=walker.class_probability).size is walker.size
+    later, _ = classified(histories, (car,), FRAME_NS)
+    assert set(later) == {7}
+    assert later[7].frames == 2
