@@ -1,7 +1,7 @@
 """Cost against one thing at a time: features, moving objects, image size, clones."""
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,6 @@ import ovmot
 from bench_inputs import TRAFFIC_SIZE, Recording, in_memory, simulated_street
 from bench_report import spread
 from bench_turns import Turns, take_turns
-from ovmot.sim.scene_file import CATALOG
 
 COLUMNS = (
     "features in a frame", "confirmed objects in a frame", "frames/s", "wall, ms", "x floor",
@@ -20,9 +19,11 @@ COLUMNS = (
 )  # fmt: skip
 MAX_FEATURES = (50, 100, 150, 200, 250, 350, 500, 800)
 MAX_CLONES = (5, 8, 11, 15, 20, 30)
-MOVERS = (0, 1, 2, 4, 8, 14)
+BODIES = (0, 1, 5, 10, 20)
 SHARES_OF_SIZE = (0.25, 0.5, 0.75, 1.0)
-_MOVERS_SIZE, _MOVERS_S = (640, 280), 10.0
+_BODIES_SIZE, _BODIES_S = (640, 280), 10.0
+_ROW, _FIRST_ROW_M, _ROWS_APART_M, _WALKERS_APART_M = 5, 8.0, 3.0, 1.9
+_RIG_M, _WALKERS_MPS = 5.0, 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +51,15 @@ def against_clones(options: CurveOptions) -> tuple[str, list[Row]]:
 
 
 def against_objects(options: CurveOptions) -> tuple[str, list[Row]]:
-    """Movers in a street: the first ones of the scene `traffic`."""
-    traffic = yaml.safe_load((CATALOG / "traffic.yaml").read_text(encoding="utf-8"))
+    """Walkers ahead of a rig that goes as they do: all of them stay in view."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for count in options.values or MOVERS:
-            scene = Path(folder) / f"traffic_{count}_movers.yaml"
-            scene.write_text(yaml.safe_dump(with_movers(traffic, count)), encoding="utf-8")
-            street = simulated_street(options.cache, str(scene), _MOVERS_SIZE, _MOVERS_S)
+        for count in options.values or BODIES:
+            scene = Path(folder) / f"walkers_{count}.yaml"
+            scene.write_text(yaml.safe_dump(walkers(count)), encoding="utf-8")
+            street = simulated_street(options.cache, str(scene), _BODIES_SIZE, _BODIES_S)
             rows.append(_measured(str(count), in_memory(street), options.runs))
-    return "movers in the street", rows
+    return "bodies in view", rows
 
 
 def against_size(options: CurveOptions) -> tuple[str, list[Row]]:
@@ -81,10 +81,21 @@ CURVES: Mapping[str, Callable[[CurveOptions], tuple[str, list[Row]]]] = {
 }
 
 
-def with_movers(scene: Mapping[str, Sequence[object]], count: int) -> dict[str, Sequence[object]]:
-    """The scene with its first movers alone."""
-    along, across = scene["along"], scene["across"]
-    return {**scene, "along": along[:count], "across": across[: max(count - len(along), 0)]}
+def walkers(count: int) -> dict[str, object]:
+    """A scene of walkers in rows of five, the next row behind the gaps of the one before it."""
+    speed = [[1.0, 0.0], [2.0, _WALKERS_MPS]]
+    along = []
+    for i in range(count):
+        row, place = divmod(i, _ROW)
+        sideways = (place - 0.5 * (_ROW - 1) + 0.5 * (row % 2) - 0.25) * _WALKERS_APART_M
+        ahead = _RIG_M + _FIRST_ROW_M + _ROWS_APART_M * row
+        along.append({"kind": "walker", "start_m": ahead, "offset_m": sideways, "speed": speed})
+    return {
+        "duration_s": _BODIES_S,
+        "drive": {"start_m": _RIG_M, "offset_m": 0.0, "speed": speed},
+        "along": along,
+        "jitter": {"start_m": 0.3, "speed": 0.0},
+    }
 
 
 def _against_setting(

@@ -50,10 +50,15 @@ def in_memory(folder: Path) -> Recording:
     return Recording(name, folder, sequence.rig, sequence.imu_noise, tuple(sequence))
 
 
+def data_root() -> Path:
+    """Folder of the test data: `$OVMOT_DATA`, else `../shared/data`."""
+    return Path(os.environ.get("OVMOT_DATA", _REPOSITORY.parent / "shared" / "data"))
+
+
 def default_folders(cache: Path) -> list[Path]:
     """The real sequences that are there, of `$OVMOT_DATA` or `../shared/data`, and a street with
     traffic."""
-    data = Path(os.environ.get("OVMOT_DATA", _REPOSITORY.parent / "shared" / "data"))
+    data = data_root()
     real = [data / name for name in DEFAULT_SEQUENCES if (data / name).is_dir()]
     return [*real, simulated_street(cache, "traffic", TRAFFIC_SIZE)]
 

@@ -10,6 +10,8 @@ two stand less than 2.5 m apart on the ground; it counts where the label is near
 
 import csv
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -64,31 +66,60 @@ def nearest(tracked: Positions, place: np.ndarray, frame: int) -> int | None:
     return None if track is None or gaps[track] > NEAR_M else track
 
 
-def main(labels: Path, poses: Path, run: Path, ids: list[int]) -> None:
-    """Print, for each vehicle: frames tracked, by which ids, and the difference of velocity."""
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """A labelled vehicle in a run: frames in range, in which it is tracked, ids of its tracks, and
+    pairs of velocities (run's, label's; m/s) where the labels give one."""
+
+    vehicle: int
+    frames: int
+    tracked: int
+    ids: list[int]
+    velocities: list[tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def off(self) -> list[float]:
+        """Differences of the level velocities, m/s."""
+        return [float(np.linalg.norm((v - w)[:2])) for v, w in self.velocities]
+
+    @property
+    def speed(self) -> float:
+        """The label's, median, m/s; NaN without any."""
+        speeds = [np.linalg.norm(w) for _, w in self.velocities]
+        return float(np.median(speeds)) if speeds else float("nan")
+
+
+def compared(labels: Path, poses: Path, run: Path, ids: Sequence[int]) -> list[Vehicle]:
+    """The labelled vehicles of these ids, held against the run's tracks."""
     T = np.loadtxt(poses).reshape(-1, 3, 4)
     labelled, tracked = positions_of(labels), positions_of(run / "objects_kitti.txt")
     velocity = velocities_of(run)
+    found = []
     for vehicle in ids:
         seen = labelled[vehicle]
         world = {f: T[f, :, :3] @ p + T[f, :, 3] for f, p in seen.items()}
         frames = [f for f, p in sorted(seen.items()) if np.linalg.norm(p) < RANGE_M]
         by = {f: nearest(tracked, seen[f], f) for f in frames}
         hits = {f: track for f, track in by.items() if track is not None}
-        print(
-            f"vehicle {vehicle}: within {RANGE_M:g} m in {len(frames)} frames, tracked in"
-            f" {len(hits)}, by ids {sorted(set(hits.values()))}"
-        )
         true = {f: slope(world, f) for f in hits}
         pairs = [
             (velocity[hits[f]][f], R_RUN_FILE @ v) for f, v in true.items() if v is not None
         ]  # fmt: skip
-        if pairs:
-            off = [float(np.linalg.norm((v - w)[:2])) for v, w in pairs]
-            speed = np.median([np.linalg.norm(w) for _, w in pairs])
+        found.append(Vehicle(vehicle, len(frames), len(hits), sorted(set(hits.values())), pairs))
+    return found
+
+
+def main(labels: Path, poses: Path, run: Path, ids: list[int]) -> None:
+    """Print, for each vehicle: frames tracked, by which ids, and the difference of velocity."""
+    for found in compared(labels, poses, run, ids):
+        print(
+            f"vehicle {found.vehicle}: within {RANGE_M:g} m in {found.frames} frames, tracked in"
+            f" {found.tracked}, by ids {found.ids}"
+        )
+        if found.off:
             print(
-                f"    velocity differs by {np.median(off):.2f} m/s in the median, by"
-                f" {max(off):.2f} at most; it goes at {speed:.1f} m/s"
+                f"    velocity differs by {np.median(found.off):.2f} m/s in the median, by"
+                f" {max(found.off):.2f} at most; it goes at {found.speed:.1f} m/s"
             )
 
 

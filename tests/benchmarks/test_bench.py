@@ -5,14 +5,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import bench
 import bench_curves
 import ovmot
 from bench_against import timed_process
-from bench_curves import CURVES, CurveOptions, with_movers
+from bench_curves import CURVES, CurveOptions, walkers
 from bench_inputs import default_folders, in_memory, simulated_street
+from ovmot.sim.render import camera_rays, render_image
+from ovmot.sim.scene_file import SceneFile
+from ovmot.sim.scenes import make_simulation
 
 
 @pytest.fixture(scope="module")
@@ -107,10 +111,14 @@ def test_what_cannot_be_measured(tmp_path: Path) -> None:
         bench.main([str(tmp_path / "nothing"), "--against", "true"])
 
 
-def test_the_first_movers_of_a_scene() -> None:
-    scene = {"along": ["a", "b"], "across": ["c", "d"], "road": []}
-    assert with_movers(scene, 1) == {"along": ["a"], "across": [], "road": []}
-    assert with_movers(scene, 3) == {"along": ["a", "b"], "across": ["c"], "road": []}
+def test_walkers_of_the_curve_of_objects_are_all_in_view() -> None:
+    scene = SceneFile.model_validate(walkers(20))
+    simulation = make_simulation(scene, seed=0, size=(320, 140), duration_s=10.0)
+    rays = camera_rays(simulation.rig.cam0)
+    for stamp in simulation.camera_ns[::33].tolist():
+        T_world_cam0 = simulation.path.pose(stamp) @ simulation.rig.T_imu_cam0
+        ids = render_image(simulation.scene, rays, T_world_cam0, stamp).object_id
+        assert len(np.unique(ids)) == 21
 
 
 def test_a_street_is_simulated_once(

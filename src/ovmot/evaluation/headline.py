@@ -21,7 +21,7 @@ HEADLINES: dict[str, str] = {
 }
 """What a table shows first, in this order, as far as it is there: `HEADLINE_ROWS` of them."""
 NOTES: dict[str, str] = {
-    "ate_se3_deg": "positions alone are fitted, and any roll about a straight way fits: see ate_yaw_deg",
+    "ate_se3_deg": "fits positions only: any roll about a straight way fits; see ate_yaw_deg",
     "ate_sim3_deg": "as ate_se3_deg",
     "nees_orientation": "3 if errors and covariance agree",
     "nees_position": "3 if errors and covariance agree",
