@@ -9,7 +9,6 @@ from scipy.integrate import quad
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.motion_class import (
     CLASSES,
-    MAX_ROAD_MPS,
     SpeedHistory,
     class_probability,
     classified,
@@ -18,6 +17,7 @@ from ovmot.objects.motion_class import (
     speed_log_likelihood,
     with_speed,
 )
+from ovmot.physics import MAX_ROAD_MPS
 from ovmot.types import ObjectTrack
 
 FRAME_NS = 100_000_000

@@ -15,12 +15,16 @@ from ovmot.evaluation.consistency import average_bounds
 USUAL_METRICS = (
     "ate_yaw_m", "ate_yaw_deg", "ate_percent", "rpe_1s_m", "nees_orientation", "nees_position",
     "object_recall", "object_precision", "id_switches", "idf1", "hota",
-    "object_velocity_rmse_mps", "object_velocity_nees", "detection_latency_median_s",
+    "object_velocity_rmse_mps", "object_velocity_nees", "false_tracks_per_min",
+    "two_sides_length_rmse_m", "centre_acceleration_ratio", "detection_latency_median_s",
     "pull_out_latency_median_s", "point_precision", "point_recall", "static_kept",
 )  # fmt: skip
 _NAMES = ("sequence", "settings", "metric")
 _NEES_DOF = {"nees_orientation": 3, "nees_position": 3, "nees_pose": 6}
-_OBJECT_NEES_DOF = {"object_velocity_nees": 3}
+_OBJECT_NEES_DOF = {
+    "object_velocity_nees": 3, "object_position_nees": 3, "object_size_nees": 3,
+    "object_heading_nees": 1, "object_yaw_rate_nees": 1,
+}  # fmt: skip
 _OBJECT_NEES_SHARE = 0.5, 2.0  # of the dimension
 
 
