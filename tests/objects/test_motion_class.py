@@ -12,6 +12,7 @@ from ovmot.objects.motion_class import (
     SpeedHistory,
     class_probability,
     classified,
+    history_log_likelihood,
     no_history,
     size_log_likelihood,
     speed_log_likelihood,
@@ -27,12 +28,20 @@ SHARP = np.full(3, 0.05)
 def driven(speeds: list[float], sigma: float = 0.2) -> SpeedHistory:
     history = no_history(0)
     for k, speed in enumerate(speeds):
-        history = with_speed(history, k * FRAME_NS, speed, sigma)
+        history = with_speed(history, k * FRAME_NS, speed, likelihood(speed, sigma))
     return history
 
 
+def likelihood(speed: float, sigma: float = 0.2) -> FloatArray:
+    return speed_log_likelihood(np.array(speed), np.array(sigma))
+
+
+def class_of(history: SpeedHistory, size: FloatArray) -> FloatArray:
+    return class_probability(history_log_likelihood(history), size_log_likelihood(size, SHARP))
+
+
 def probability(speeds: list[float], size: tuple[float, float, float]) -> dict[str, float]:
-    found = class_probability(driven(speeds), np.array(size), SHARP)
+    found = class_of(driven(speeds), np.array(size))
     return dict(zip(CLASSES, found.tolist(), strict=True))
 
 
@@ -66,29 +75,39 @@ def test_length_and_width_may_be_swapped() -> None:
 
 
 def test_what_is_not_known_of_the_size_says_nothing() -> None:
-    found = class_probability(no_history(0), np.full(3, np.nan), SHARP)
+    found = class_of(no_history(0), np.full(3, np.nan))
     np.testing.assert_allclose(found, 1.0 / 3.0)
 
 
 def test_slow_speeds_say_nothing_and_more_time_says_more() -> None:
     size = np.full(3, np.nan)
-    np.testing.assert_allclose(class_probability(driven([0.2] * 50), size, SHARP), 1.0 / 3.0)
-    short, long = (class_probability(driven([1.4] * n), size, SHARP)[0] for n in (2, 60))
+    np.testing.assert_allclose(class_of(driven([0.2] * 50), size), 1.0 / 3.0)
+    short, long = (class_of(driven([1.4] * n), size)[0] for n in (2, 60))
     assert 1.0 / 3.0 < short < long
     # frames of one manoeuvre are one observation: ten times the rate says no more
     often = no_history(0)
     for k in range(600):
-        often = with_speed(often, k * FRAME_NS // 10, 1.4, 0.2)
-    assert class_probability(often, size, SHARP)[0] == pytest.approx(long, abs=0.01)
+        often = with_speed(often, k * FRAME_NS // 10, 1.4, likelihood(1.4))
+    assert class_of(often, size)[0] == pytest.approx(long, abs=0.01)
 
 
 @pytest.mark.parametrize("k", range(3))
 def test_the_speeds_likelihood_is_a_density(k: int) -> None:
     def density(speed: float) -> float:
-        return float(np.exp(speed_log_likelihood(speed, 0.01)[k]))
+        return float(np.exp(likelihood(speed, 0.01)[k]))
 
     total = quad(density, 0.0, MAX_ROAD_MPS[k] + 1.0, points=(1.34, 4.25), limit=200)[0]
     assert total == pytest.approx(1.0, abs=0.01)
+
+
+def test_many_tracks_at_once_are_each_alone() -> None:
+    rng = np.random.default_rng(2)
+    speed, size = rng.uniform(0.0, 20.0, 5), rng.uniform(0.2, 5.0, (5, 3))
+    sigma = rng.uniform(0.05, 0.5, (5, 3))
+    many = speed_log_likelihood(speed, sigma[:, 0]), size_log_likelihood(size, sigma)
+    for k in range(5):
+        np.testing.assert_allclose(many[0][k], likelihood(float(speed[k]), float(sigma[k, 0])))
+        np.testing.assert_allclose(many[1][k], size_log_likelihood(size[k], sigma[k]))
 
 
 def track_of(track_id: int, speed: float, size: FloatArray) -> ObjectTrack:

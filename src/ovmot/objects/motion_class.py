@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import log_ndtr
 
 from ovmot.geometry.arrays import FloatArray
 from ovmot.physics import (
@@ -34,6 +34,8 @@ SLOW_MPS = 0.5
 """Half of the slowest walking (R. Bohannon, Age and Ageing 26, 1997: comfortable gait from 1.0)."""
 _SIZES = np.array([WALKER_SIZE_M, CYCLIST_SIZE_M, CAR_SIZE_M])
 _MAX_MPS = np.array(MAX_ROAD_MPS)
+_PACE = np.array([WALKER_MPS, CYCLIST_MPS])
+_PACE_SPREAD = np.array([WALKER_SIGMA_MPS, CYCLIST_SIGMA_MPS])
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,66 +57,64 @@ def no_history(timestamp_ns: int) -> SpeedHistory:
 
 
 def with_speed(
-    history: SpeedHistory, timestamp_ns: int, speed: float, sigma: float
+    history: SpeedHistory, timestamp_ns: int, speed: float, log_likelihood: FloatArray
 ) -> SpeedHistory:
-    """The history with one more speed, m/s, and its standard deviation; a slow one adds nothing."""
+    """The history with one more speed, m/s, of this log-likelihood (3,); a slow one adds nothing."""
     if not speed >= SLOW_MPS:
         return history
     return SpeedHistory(
-        history.log_likelihood + speed_log_likelihood(speed, sigma),
+        history.log_likelihood + log_likelihood,
         history.frames + 1,
         timestamp_ns if history.frames == 0 else history.first_ns,
         timestamp_ns,
     )
 
 
-def class_probability(
-    history: SpeedHistory, size: FloatArray, size_sigma: FloatArray
-) -> FloatArray:
-    """Probability (3,) of each of `CLASSES`.
-
-    `size` (3,): length, width, height of what was seen, m; `size_sigma` (3,): its standard
-    deviations. NaN counts as not seen.
-    """
-    total = size_log_likelihood(size, size_sigma)
-    if history.frames:
-        span_s = 1e-9 * (history.last_ns - history.first_ns)
-        observations = 1.0 + span_s / MANOEUVRE_S
-        total = total + observations / history.frames * history.log_likelihood
-    probability: FloatArray = np.exp(total - logsumexp(total))
-    return probability
+def history_log_likelihood(history: SpeedHistory) -> FloatArray:
+    """Log-likelihood (3,) of all speeds so far: their mean, once for each manoeuvre."""
+    span_s = 1e-9 * (history.last_ns - history.first_ns)
+    observations = 1.0 + span_s / MANOEUVRE_S
+    return np.asarray(observations / max(history.frames, 1) * history.log_likelihood)
 
 
-def speed_log_likelihood(speed: float, sigma: float) -> FloatArray:
-    """Log density (3,) of a speed, m/s, measured with this standard deviation.
+def class_probability(speeds: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Probability (..., 3) of each of `CLASSES` from the log-likelihoods (..., 3) of both."""
+    total = speeds + sizes
+    probability = np.exp(total - total.max(axis=-1, keepdims=True))
+    return np.asarray(probability / probability.sum(axis=-1, keepdims=True))
+
+
+def speed_log_likelihood(speed: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Log density (..., 3) of speeds (...), m/s, measured with these standard deviations (...).
 
     Walkers and cyclists go at their usual pace; some, as runners, and all vehicles at any speed up
     to the greatest of their class.
     """
-    pace = np.array([WALKER_MPS, CYCLIST_MPS])
-    spread = np.hypot(np.array([WALKER_SIGMA_MPS, CYCLIST_SIGMA_MPS]), sigma)
-    usual = -0.5 * ((speed - pace) / spread) ** 2 - np.log(spread * np.sqrt(2.0 * np.pi))
-    reach = np.maximum(sigma, 1e-3)
-    anywhere = log_ndtr((_MAX_MPS - speed) / reach) - np.log(_MAX_MPS)
-    odd = np.log(ODD_SPEED_SHARE)
-    named = np.logaddexp(np.log1p(-ODD_SPEED_SHARE) + usual, odd + anywhere[:2])
-    return np.append(named, anywhere[2])
+    v, s = np.asarray(speed)[..., None], np.asarray(sigma)[..., None]
+    spread = np.hypot(_PACE_SPREAD, s)
+    usual = -0.5 * ((v - _PACE) / spread) ** 2 - np.log(spread * np.sqrt(2.0 * np.pi))
+    anywhere = log_ndtr((_MAX_MPS - v) / np.maximum(s, 1e-3)) - np.log(_MAX_MPS)
+    named = np.logaddexp(
+        np.log1p(-ODD_SPEED_SHARE) + usual, np.log(ODD_SPEED_SHARE) + anywhere[..., :2]
+    )
+    return np.concatenate([named, anywhere[..., 2:]], axis=-1)
 
 
 def size_log_likelihood(size: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Log density (3,) of the seen extents: the longer level one, the shorter one, the height.
+    """Log density (..., 3) of what was seen of bodies: length, width and height (..., 3) m.
 
-    A density of 1/s up to the body's extent s, which has the class's spread; s itself stands for
-    its mean in the density.
+    `sigma` (..., 3): their standard deviations. NaN counts as not seen. Of a body's extent s, what
+    is seen of it has the density 1/s up to s, which has the class's spread; s itself stands for its
+    mean in the density. The longer level side is held against the length.
     """
-    level = np.argsort(-np.asarray(size[:2]))
-    seen = np.append(np.asarray(size)[level], size[2])
-    noise = np.append(np.asarray(sigma)[level], sigma[2])
-    spread = np.hypot(SIZE_SPREAD * _SIZES, noise)
-    each = log_ndtr((_SIZES - seen) / spread) - np.log(_SIZES)
+    level = np.argsort(-np.asarray(size)[..., :2], axis=-1)
+    order = np.concatenate([level, np.full((*level.shape[:-1], 1), 2)], axis=-1)
+    seen, noise = (np.take_along_axis(np.asarray(x), order, -1) for x in (size, sigma))
+    spread = np.hypot(SIZE_SPREAD * _SIZES, noise[..., None, :])
+    each = log_ndtr((_SIZES - seen[..., None, :]) / spread) - np.log(_SIZES)
     # vehicles are of all lengths, widths and heights from a car's on
-    each[2] = -np.log(_SIZES[2])
-    return np.asarray(np.where(np.isfinite(seen), each, 0.0).sum(axis=1))
+    each[..., 2, :] = -np.log(_SIZES[2])
+    return np.asarray(np.where(np.isfinite(seen[..., None, :]), each, 0.0).sum(axis=-1))
 
 
 def classified(
@@ -124,14 +124,21 @@ def classified(
 
     The uncertainty of an extent is that of the centre, to which the box's ends are bound.
     """
+    if not tracks:
+        return {}, ()
+    speed = np.linalg.norm([track.velocity[:2] for track in tracks], axis=1)
+    sigma = np.linalg.norm([track.std_velocity[:2] for track in tracks], axis=1) / np.sqrt(2.0)
+    now = speed_log_likelihood(speed, sigma)
     kept: dict[int, SpeedHistory] = {}
-    named = []
-    for track in tracks:
+    for k, track in enumerate(tracks):
         history = histories.get(track.track_id) or no_history(timestamp_ns)
-        speed = float(np.linalg.norm(track.velocity[:2]))
-        sigma = float(np.linalg.norm(track.std_velocity[:2]) / np.sqrt(2.0))
-        history = with_speed(history, timestamp_ns, speed, sigma)
-        kept[track.track_id] = history
-        probability = class_probability(history, track.size, track.std_position)
-        named.append(replace(track, class_probability=probability))
-    return kept, tuple(named)
+        kept[track.track_id] = with_speed(history, timestamp_ns, float(speed[k]), now[k])
+    probability = class_probability(
+        np.array([history_log_likelihood(kept[track.track_id]) for track in tracks]),
+        size_log_likelihood(
+            np.array([track.size for track in tracks]),
+            np.array([track.std_position for track in tracks]),
+        ),
+    )
+    named = zip(tracks, probability, strict=True)
+    return kept, tuple(replace(track, class_probability=p) for track, p in named)
