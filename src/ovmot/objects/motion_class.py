@@ -59,7 +59,7 @@ def no_history(timestamp_ns: int) -> SpeedHistory:
 def with_speed(
     history: SpeedHistory, timestamp_ns: int, speed: float, log_likelihood: FloatArray
 ) -> SpeedHistory:
-    """The history with one more speed, m/s, of this log-likelihood (3,); a slow one adds nothing."""
+    """The history with one more speed, m/s, and its log-likelihood (3,); slow ones add nothing."""
     if not speed >= SLOW_MPS:
         return history
     return SpeedHistory(
