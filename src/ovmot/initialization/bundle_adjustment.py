@@ -17,7 +17,7 @@ from ovmot.errors import InitializationError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import MIN_POINTS
-from ovmot.geometry.triangulation import inverse_3x3, triangulate_many_views
+from ovmot.geometry.triangulation import MAX_DEPTH_M, inverse_3x3
 from ovmot.initialization.factors import Factor
 from ovmot.initialization.window import (
     KEYFRAME_SIZE,
@@ -31,6 +31,7 @@ from ovmot.settings import FilterSettings
 from ovmot.types import FrontendFrame
 from ovmot.vio.msckf_features import DEPTH_RANGE_M, Reprojection, reproject
 from ovmot.vio.online_calibration import calibrated_rig
+from ovmot.vio.triangulation_kernel import triangulate_views_compiled
 
 _LOSS_SCALE = 1.5  # of the Geman-McClure loss, in units of the median error
 NormalEquations = tuple[FloatArray, FloatArray]
@@ -123,13 +124,13 @@ def reproject_points(
     )
     T_views = np.concatenate([se3.inverse(T) @ T_imu_world for _, T, _ in cameras])
     views = [camera.normalize(pixels[..., side]) for camera, _, side in cameras]
-    triangulated = triangulate_many_views(
+    p_world, valid = triangulate_views_compiled(
         np.concatenate(views, axis=1), T_views, settings.pixel_sigma / calibrated.cam0.fx,
-        depth_range=DEPTH_RANGE_M,
+        np.array([*DEPTH_RANGE_M, MAX_DEPTH_M]),
     )  # fmt: skip
-    p_world = triangulated.p_world[triangulated.valid]
+    p_world = p_world[valid]
     return reproject(
-        clones, calibrated, pixels[triangulated.valid], (p_world, p_world), settings.pixel_sigma,
+        clones, calibrated, pixels[valid], (p_world, p_world), settings.pixel_sigma,
         window.calibration,
     )  # fmt: skip
 

@@ -53,21 +53,26 @@ def dynamic_initialization(
     noise: ImuNoise,
     prior: InitializationPrior,
     *,
+    path: StereoPath | None = None,
     max_bodies: int = 3,
 ) -> DynamicSolution:
     """The initial state by the features of K frames and the K - 1 IMU intervals between them.
 
     The world is not the body with most points: up to `max_bodies`, each of points that move alike,
     are tried, the one with most points first, and of those whose motion agrees with the IMU the one
-    that occupies most space is the world. Raises `InitializationError` where the images give no
-    motion, or none that agrees.
+    that occupies most space is the world. `path`: that of the first body, where it is known. Raises
+    `InitializationError` where the images give no motion, or none that agrees.
     """
-    solutions: list[tuple[int, DynamicSolution]] = []
+    best: tuple[int, DynamicSolution] | None = None
     reasons: list[str] = []
+    left = np.unique(np.concatenate([frame.feature_id for frame in frames]))
     other_bodies = np.empty(0, dtype=np.int64)
     for _ in range(max_bodies):
+        # no body occupies more than all features that are left
+        if best is not None and _cells_of(left, frames, rig) <= best[0]:
+            break
         try:
-            path = stereo_path(frames, imu, rig, other_bodies)
+            path = path or stereo_path(frames, imu, rig, other_bodies)
         except InitializationError as error:
             reasons.append(str(error))
             break
@@ -76,11 +81,14 @@ def dynamic_initialization(
         except InitializationError as error:
             reasons.append(str(error))
         else:
-            solutions.append((_cells_of(path.feature_id, frames, rig), solution))
+            cells = _cells_of(path.feature_id, frames, rig)
+            if best is None or cells > best[0]:
+                best = cells, solution
         other_bodies = np.union1d(other_bodies, path.feature_id)
-    if not solutions:
+        left, path = np.setdiff1d(left, path.feature_id), None
+    if best is None:
         raise InitializationError("; another body: ".join(reasons))
-    return max(solutions, key=lambda candidate: candidate[0])[1]
+    return best[1]
 
 
 def align_with_imu(

@@ -24,7 +24,7 @@ from ovmot.initialization.factors import (
 )
 from ovmot.initialization.monocular import monocular_initialization
 from ovmot.initialization.static import static_initialization
-from ovmot.initialization.stereo_path import stereo_path
+from ovmot.initialization.stereo_path import StereoPath, stereo_path
 from ovmot.initialization.window import KeyframeWindow, filter_state, scale_sigma
 from ovmot.physics import FRAME_JITTER
 from ovmot.settings import Settings
@@ -137,22 +137,26 @@ class _Start:
     ) -> tuple[MsckfFilter, FeatureTable]:
         """Dynamic initialization, by the time offset that fits; raises `InitializationError` where
         images and IMU do not agree."""
-        start = self._with_clock(frames, imu)
-        return start._adjusted_filter(start._dynamic(frames, imu), imu)
+        start, path = self._with_clock(frames, imu)
+        return start._adjusted_filter(start._dynamic(frames, imu, path), imu)
 
-    def _with_clock(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> "_Start":
-        """The start by the time offset that the turns of the window show, if they show another."""
+    def _with_clock(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer
+    ) -> tuple["_Start", StereoPath | None]:
+        """The start by the time offset that the turns of the window show, if they show another, and
+        the path by its offset, where there is one already."""
         span_s = (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
         short = span_s < self.settings.initialization.motion_window_s
         if short or self.clock.sigma_s == 0.0 or not has_stereo(self.rig, self.settings):
-            return self
+            return self, None
         stamps = [self.imu_time_ns(f.timestamp_ns) for f in frames]
         try:
             intervals = [imu.between(a, b) for a, b in pairwise(stamps)]
             path = stereo_path(frames, intervals, self.rig)
         except (InitializationError, DatasetError):
-            return self
-        return replace(self, clock=find_clock_offset(path, np.array(stamps), imu, self.clock))
+            return self, None
+        clock = find_clock_offset(path, np.array(stamps), imu, self.clock)
+        return (self, path) if clock == self.clock else (replace(self, clock=clock), None)
 
     def _static(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
         """The guess that the rig is stationary over the window."""
@@ -183,8 +187,10 @@ class _Start:
             state, T, np.array(stamps), keyframes, solution.feature_id, stationary=True
         )
 
-    def _dynamic(self, frames: Sequence[FrontendFrame], imu: ImuBuffer) -> InitialGuess:
-        """The guess by images in motion and IMU over the window."""
+    def _dynamic(
+        self, frames: Sequence[FrontendFrame], imu: ImuBuffer, path: StereoPath | None
+    ) -> InitialGuess:
+        """The guess by images in motion and IMU over the window; `path`: see `_with_clock`."""
         settings, window_s = self.settings, motion_window_s(self.rig, self.settings)
         span_s = (frames[-1].timestamp_ns - frames[0].timestamp_ns) * 1e-9
         if span_s < window_s:
@@ -196,10 +202,11 @@ class _Start:
         prior = InitializationPrior(
             settings.filter.gravity_mps2, settings.initialization.accel_bias_sigma_mps2
         )
-        solve = (
-            dynamic_initialization if has_stereo(self.rig, settings) else monocular_initialization
-        )
-        solution = solve(frames, intervals, self.rig, self.noise, prior)
+        given = frames, intervals, self.rig, self.noise, prior
+        if has_stereo(self.rig, settings):
+            solution = dynamic_initialization(*given, path=path)
+        else:
+            solution = monocular_initialization(*given)
         index = self._keyframes(frames)
         return InitialGuess(
             solution.first, solution.T_world_imu[index], np.array(stamps)[index],
