@@ -16,8 +16,8 @@ DEBIAN_PYTHON ?= /usr/bin/python3
 DEBIAN_PACKAGES ?= /usr/lib/python3/dist-packages
 MINOR := import sys; print(sys.version_info[:2])
 ROS_MODULES := rospy, sensor_msgs.msg, nav_msgs.msg, visualization_msgs.msg, tf2_msgs.msg, std_srvs.srv
-ROS_PACKAGES := python3-rospy python3-roslaunch python3-rosbag python3-rostopic python3-sensor-msgs \
-	python3-nav-msgs python3-visualization-msgs python3-tf2-msgs python3-std-srvs
+ROS_PACKAGES := python3-rospy python3-roslaunch python3-rosbag python3-rostopic python3-rosservice \
+	python3-sensor-msgs python3-nav-msgs python3-visualization-msgs python3-tf2-msgs python3-std-srvs
 
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
@@ -58,8 +58,8 @@ $(REFERENCE_STAMP): $(STAMP) requirements-reference.lock requirements-trackeval.
 install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its own
 	@test "$$($(BIN)/python -c '$(MINOR)')" = "$$($(DEBIAN_PYTHON) -c '$(MINOR)')" || { \
 		echo "ROS 1 is for Debian's own Python, and .venv has another: make clean, then make install-ros PYTHON=$(DEBIAN_PYTHON)" >&2; exit 1; }
-	@echo $(DEBIAN_PACKAGES) > $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/zz-debian-ros.pth
-	@{ $(BIN)/python -c 'import $(ROS_MODULES)' && command -v roscore rosbag rostopic; } >/dev/null 2>&1 || { \
+	@$(BIN)/python -m ovmot.ros.environment --link $(DEBIAN_PACKAGES) 2>/dev/null || true
+	@{ $(BIN)/python -c 'import $(ROS_MODULES)' && command -v roscore rosbag rostopic rosservice; } >/dev/null 2>&1 || { \
 		echo "ROS 1 is not all there: sudo apt-get install $(ROS_PACKAGES)" >&2; exit 1; }
 
 demo: install ## simulate a small street, run ovmot on it, say where the results are

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from ovmot.cameras.camera import Camera
+from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.types import (
     EgoEstimate,
@@ -85,3 +87,10 @@ def result() -> FrameResult:
         tracks=(make_track(7, "confirmed"), make_track(8, "coasting"), make_track(9, "tentative")),
         milliseconds={},
     )
+
+
+@pytest.fixture
+def rig_of_result(result: FrameResult) -> StereoRig:
+    """The rig that the result was made with; nothing of it is estimated."""
+    camera = Camera.make((60, 40), (50.0, 50.0), (30.0, 20.0), "none", [])
+    return StereoRig(camera, camera, result.ego.T_imu_cam0, result.ego.T_imu_cam1)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.ros import messages
 from ovmot.ros.messages import FrameNames, PathSoFar, frame_messages
@@ -13,8 +14,8 @@ from ovmot.ros.values import Message
 from ovmot.types import FrameResult, PointLabel
 
 
-def by_topic(result: FrameResult) -> dict[str, Message]:
-    made = frame_messages(result, PathSoFar().extended(result))
+def by_topic(result: FrameResult, rig: StereoRig) -> dict[str, Message]:
+    made = frame_messages(result, PathSoFar().extended(result), rig)
     return {published.topic: published.message for published in made}
 
 
@@ -69,7 +70,7 @@ def test_what_is_not_known_has_a_large_variance_and_no_nan(result: FrameResult) 
 
 
 def test_transforms_lead_from_the_world_to_the_cameras(result: FrameResult) -> None:
-    edges = through(2, messages.transforms(result.ego, FrameNames())).transforms
+    edges = through(2, messages.transforms(result.ego, FrameNames(), with_cameras=True)).transforms
     assert [(e.header.frame_id, e.child_frame_id) for e in edges] == [
         ("world", "imu"),
         ("imu", "cam0"),
@@ -106,3 +107,30 @@ def test_the_path_stays_whole_and_bounded(result: FrameResult) -> None:
     along = [T[0, 3] for _, T in path.poses]
     assert along[0] == 0.0 and along[-1] > 0.2 * steps - 1.0
     assert len(path.extended(replace(result, segment=1)).poses) == 1
+
+
+def test_cameras_that_are_not_estimated_are_latched_at_the_start_of_a_segment(
+    result: FrameResult, rig_of_result: StereoRig
+) -> None:
+    path = PathSoFar().extended(result)
+    first = by_topic(result, rig_of_result)
+    latched = [edge.fields["child_frame_id"] for edge in edges_of(first[messages.TF_STATIC])]
+    assert latched == ["cam0", "cam1"] and len(edges_of(first[messages.TF])) == 1
+    assert messages.TF_STATIC in messages.LATCHED
+    ego = replace(result.ego, timestamp_ns=result.timestamp_ns + 1)
+    later = replace(result, frame=replace(result.frame, timestamp_ns=ego.timestamp_ns), ego=ego)
+    topics = {p.topic for p in frame_messages(later, path.extended(later), rig_of_result)}
+    assert messages.TF in topics and messages.TF_STATIC not in topics
+
+
+def test_cameras_that_are_estimated_come_with_each_frame(
+    result: FrameResult, rig_of_result: StereoRig
+) -> None:
+    shifted = rig_of_result.T_imu_cam1.copy()
+    shifted[0, 3] += 1e-4
+    made = by_topic(result, replace(rig_of_result, T_imu_cam1=shifted))
+    assert messages.TF_STATIC not in made and len(edges_of(made[messages.TF])) == 3
+
+
+def edges_of(message: Message) -> Any:
+    return message.fields["transforms"]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.ros import messages
 from ovmot.ros.messages import PathSoFar, frame_messages
 from ovmot.ros.object_messages import object_array
@@ -13,8 +14,8 @@ from ovmot.ros.values import Message
 from ovmot.types import FrameResult
 
 
-def by_topic(result: FrameResult) -> dict[str, Message]:
-    made = frame_messages(result, PathSoFar().extended(result))
+def by_topic(result: FrameResult, rig: StereoRig) -> dict[str, Message]:
+    made = frame_messages(result, PathSoFar().extended(result), rig)
     return {published.topic: published.message for published in made}
 
 
@@ -26,8 +27,10 @@ def through(version: int, message: Message) -> Any:
     return store.deserialize_cdr(store.serialize_cdr(filled(store, message), name), name)
 
 
-def test_markers_begin_with_a_clean_slate_and_show_no_tentative_track(result: FrameResult) -> None:
-    drawn = through(1, by_topic(result)[messages.MARKERS]).markers
+def test_markers_begin_with_a_clean_slate_and_show_no_tentative_track(
+    result: FrameResult, rig_of_result: StereoRig
+) -> None:
+    drawn = through(1, by_topic(result, rig_of_result)[messages.MARKERS]).markers
     assert drawn[0].action == drawn[0].DELETEALL
     assert [(m.ns, m.id) for m in drawn[1:]] == [
         (name, track) for track in (7, 8) for name in ("boxes", "ids", "velocities")

@@ -62,10 +62,10 @@ def test_a_master_that_goes_and_comes_is_said_once_each(
     assert watch.look() == []
     assert watch.published() == {"/imu0": "sensor_msgs/Imu"}
     monkeypatch.setattr(Master, "pid", None)
-    assert ["gone" in line for line in watch.look()] == [True]
+    assert ["gone" in line.text for line in watch.look()] == [True]
     assert watch.look() == []
     assert watch.published() is None
     assert registered == []
     monkeypatch.setattr(Master, "pid", 2)
-    assert ["registered" in line for line in watch.look()] == [True]
+    assert [(line.level, "registered" in line.text) for line in watch.look()] == [("info", True)]
     assert registered == ["/ovmot/tracks", "/imu0"]

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.ros.session import LIVE_TOPICS
 from ovmot.types import FrameResult
 
@@ -19,7 +20,9 @@ def test_without_ros_2_the_command_says_what_it_needs(ovmot_command: Callable[..
     assert "Jazzy or later" in found.complaint
 
 
-def test_every_message_fits_the_classes_of_ros_2(result: FrameResult) -> None:
+def test_every_message_fits_the_classes_of_ros_2(
+    result: FrameResult, rig_of_result: StereoRig
+) -> None:
     pytest.importorskip("rclpy")
     from builtin_interfaces.msg import Time
 
@@ -28,7 +31,7 @@ def test_every_message_fits_the_classes_of_ros_2(result: FrameResult) -> None:
     from ovmot.ros.ros2_node import _class_of
 
     checked = 0
-    for published in frame_messages(result, PathSoFar().extended(result)):
+    for published in frame_messages(result, PathSoFar().extended(result), rig_of_result):
         try:
             _class_of(LIVE_TOPICS[published.topic])
         except ImportError:  # that package is not installed

@@ -13,9 +13,10 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
 from ovmot.geometry import se3
 from ovmot.ros.intake import Intake
-from ovmot.ros.messages import OBJECTS, OVERLAY, PATH, STATIC_POINTS, TF
-from ovmot.ros.session import IMU_ODOMETRY, Session
+from ovmot.ros.messages import OBJECTS, OVERLAY, PATH, STATIC_POINTS, TF, TF_STATIC
+from ovmot.ros.session import IMU_ODOMETRY, RESET_ASKED, Session
 from ovmot.ros.values import Published
+from ovmot.ros.watch import Line
 from ovmot.settings import LiveSettings
 from ovmot.types import Event, FrameResult, ImuSample, StereoFrame
 
@@ -78,13 +79,18 @@ class Setup:
         rig = StereoRig(camera, camera, np.eye(4), T)
         self.intake, self.sink = Intake(settings), sink
         self.said: list[str] = []
+        self.levels: list[str] = []
         self.pipelines: list[Odometry] = []
 
         def make() -> Any:
             self.pipelines.append(Odometry(result))
             return self.pipelines[-1]
 
-        self.session = Session(self.intake, make, rig, settings, sink, self.said.append)
+        self.session = Session(self.intake, make, rig, settings, sink, self._say)
+
+    def _say(self, line: Line) -> None:
+        self.said.append(line.text)
+        self.levels.append(line.level)
 
     def frame(self, at_ms: int, width: int = WIDTH) -> None:
         message = SimpleNamespace(
@@ -128,7 +134,8 @@ def test_the_overlay_is_drawn_for_those_who_look(setup: Setup) -> None:
 def test_tf_can_be_left_to_others(result: FrameResult) -> None:
     setup = Setup(result, Sink(unwanted=(OVERLAY,)), LiveSettings(publish_tf=False))
     setup.frame(100)
-    assert setup.sink.topics()[TF] == 0 and setup.sink.topics()[PATH] == 1
+    topics = setup.sink.topics()
+    assert topics[TF] == topics[TF_STATIC] == 0 and topics[PATH] == 1
 
 
 def test_a_restart_makes_a_new_pipeline_and_a_new_path(setup: Setup) -> None:
@@ -138,6 +145,16 @@ def test_a_restart_makes_a_new_pipeline_and_a_new_path(setup: Setup) -> None:
     assert any("went back by" in line and "new segment" in line for line in setup.said)
     paths = [p.message.fields["poses"] for p in setup.sink.sent if p.topic == PATH]
     assert [len(poses) for poses in paths] == [1, 1]  # type: ignore[arg-type]
+
+
+def test_a_reset_that_was_asked_for_is_no_warning(setup: Setup) -> None:
+    setup.frame(100)
+    setup.intake.restart(RESET_ASKED)
+    setup.session.work_once()
+    setup.frame(200)
+    setup.frame(5_200, width=WIDTH + 2)
+    assert setup.levels == ["info", "warning"]
+    assert setup.said[0].startswith(f"{RESET_ASKED}: starting again")
 
 
 def test_no_id_comes_twice(setup: Setup) -> None:

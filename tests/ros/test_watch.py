@@ -22,7 +22,14 @@ def begin() -> Watch:
 def look(
     watch: Watch, now_s: float, published: Mapping[str, str] | None = None, **counts: int
 ) -> tuple[Watch, list[str]]:
-    return watch.look(Sight(now_s, Counter(counts), 0.012, published))
+    watch, lines = watch.look(Sight(now_s, Counter(counts), 0.012, published))
+    return watch, [line.text for line in lines]
+
+
+def test_that_messages_come_is_no_warning() -> None:
+    watch, silence = begin().look(Sight(1.1, Counter(left=1, right=1, pairs=1)))
+    _, arrival = watch.look(Sight(1.6, Counter(left=2, right=2, pairs=2, imu=5)))
+    assert [line.level for line in (*silence, *arrival)] == ["warning", "info"]
 
 
 def test_silence_and_its_end_are_said_once() -> None:

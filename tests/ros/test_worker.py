@@ -14,6 +14,7 @@ from ovmot.ros.inputs import input_topics
 from ovmot.ros.intake import Intake
 from ovmot.ros.typestore import filled, typestore
 from ovmot.ros.values import Published, image
+from ovmot.ros.watch import Line
 from ovmot.ros.worker import Worker
 from ovmot.settings import LiveSettings, Settings
 from ovmot.types import ImuSample, StereoFrame
@@ -68,7 +69,7 @@ def until(true: Callable[[], bool], seconds: float = 60.0) -> bool:
 
 
 def test_what_comes_in_goes_out_as_messages(painted_euroc: Path) -> None:
-    sequence, heard, said = open_sequence(painted_euroc), Heard(), list[str]()
+    sequence, heard, said = open_sequence(painted_euroc), Heard(), list[Line]()
     known = Calibration(sequence.rig, sequence.imu_noise)
     worker = Worker(SETTINGS, known, TOPICS, heard, said.append)
     feed(painted_euroc, worker.intake)

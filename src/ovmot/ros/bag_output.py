@@ -18,7 +18,7 @@ from ovmot.types import FrameResult, ImuSample, StereoFrame
 class BagOutput:
     """The messages that a live node would publish, as an output of a run (`run_writer.Output`).
 
-    `overlay` adds the frames of the video.
+    `overlay` adds the frames of the video, as JPEG.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class BagOutput:
 
     def write(self, result: FrameResult) -> None:
         self._path = self._path.extended(result)
-        said = frame_messages(result, self._path)
+        said = frame_messages(result, self._path, self._rig)
         if self._overlay and isinstance(result.frame, StereoFrame):
             self._trails = self._trails.extended(result)
             overlay = compose(result, self._rig, self._trails)

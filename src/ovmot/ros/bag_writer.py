@@ -5,6 +5,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag1 import WriterError as WriterError1
 from rosbags.rosbag2 import StoragePlugin
@@ -12,12 +20,18 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.rosbag2 import WriterError as WriterError2
 
 from ovmot.errors import InputError, OvmotError
+from ovmot.ros.messages import LATCHED
 from ovmot.ros.typestore import filled, rosbags_name, typestore
 from ovmot.ros.values import Published
 
 _METADATA_VERSION: Literal[8] = (
     8  # the older one of those that rosbags writes: more of ROS 2 reads it
 )
+_FOREVER = QosTime(9223372036, 854775807)  # as ROS 2 writes an infinite duration
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
+    _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False,
+)  # fmt: skip
 _ENDINGS = "end it in .bag (ROS 1) or .mcap (ROS 2), or in nothing: a folder with .db3 (ROS 2)"
 
 
@@ -65,13 +79,25 @@ class BagWriter:
         try:
             connection = self._connections.get(published.topic)
             if connection is None:
-                connection = self._writer.add_connection(
-                    published.topic, name, typestore=self._store
-                )
+                connection = self._connect(published.topic, name)
                 self._connections[published.topic] = connection
             self._writer.write(connection, recorded_ns, serialize(value, name))
         except Exception as error:  # a full disk is an error of sqlite in one kind, not in others
             raise OvmotError(f"{self.path}: cannot write any further: {_words(error)}") from None
+
+    def _connect(self, topic: str, name: str) -> Any:
+        """A connection; a player latches what a node would."""
+        writer, is_latched = self._writer, topic in LATCHED
+        if isinstance(writer, Writer1):
+            return writer.add_connection(
+                topic, name, typestore=self._store, latching=1 if is_latched else None
+            )
+        return writer.add_connection(
+            topic,
+            name,
+            typestore=self._store,
+            offered_qos_profiles=[_LATCHED] if is_latched else [],
+        )
 
     def close(self) -> None:
         """Finish the bag; a second call does nothing. Raises `OvmotError`."""

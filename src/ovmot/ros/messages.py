@@ -3,7 +3,7 @@
     path = PathSoFar()
     for result in odometry.add(event):
         path = path.extended(result)
-        for published in frame_messages(result, path): ...  # its topic and message
+        for published in frame_messages(result, path, rig): ...  # its topic and message
 
 Frames and units are those of docs/conventions.md, which are also ROS's (REP 103, REP 105).
 """
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.ros.object_messages import markers, object_array
@@ -20,7 +21,7 @@ from ovmot.ros.values import (
     Message,
     Published,
     header,
-    image,
+    jpeg,
     point_cloud,
     pose,
     transform,
@@ -28,22 +29,28 @@ from ovmot.ros.values import (
 )
 from ovmot.types import EgoEstimate, FrameResult, PointLabel
 
-ODOMETRY, PATH, TF = "/ovmot/odometry", "/ovmot/path", "/tf"
+ODOMETRY, PATH = "/ovmot/odometry", "/ovmot/path"
+TF, TF_STATIC = "/tf", "/tf_static"
 STATIC_POINTS, DYNAMIC_POINTS = "/ovmot/points/static", "/ovmot/points/dynamic"
 OBJECTS, MARKERS = "/ovmot/objects", "/ovmot/objects/markers"
-OVERLAY = "/ovmot/overlay"
+OVERLAY = "/ovmot/overlay/compressed"
+"""As image_transport calls the compressed form of `/ovmot/overlay`."""
 
 TOPICS = {
     ODOMETRY: "nav_msgs/Odometry",
     PATH: "nav_msgs/Path",
     TF: "tf2_msgs/TFMessage",
+    TF_STATIC: "tf2_msgs/TFMessage",
     STATIC_POINTS: "sensor_msgs/PointCloud2",
     DYNAMIC_POINTS: "sensor_msgs/PointCloud2",
     OBJECTS: "ovmot_msgs/ObjectArray",
     MARKERS: "visualization_msgs/MarkerArray",
-    OVERLAY: "sensor_msgs/Image",
+    OVERLAY: "sensor_msgs/CompressedImage",
 }
 """Every topic and its type."""
+
+LATCHED = (TF_STATIC,)
+"""Topics whose last message is for those, too, who listen later."""
 
 UNKNOWN_VARIANCE = 1e6
 """Of what is not estimated: ROS has no word for it, and NaN stops its tools."""
@@ -91,15 +98,23 @@ class PathSoFar:
 def frame_messages(
     result: FrameResult,
     path: PathSoFar,
+    rig: StereoRig,
     names: FrameNames = FrameNames(),
 ) -> list[Published]:
-    """All messages of one frame but the overlay; `path` has been extended by `result`."""
+    """All messages of one frame but the overlay; `path` has been extended by `result`.
+
+    `rig`: that of the calibration files. The cameras' transforms are latched with the first frame
+    of a segment where they are the rig's; where they are estimated, `/tf` has them each time.
+    """
     stamp, world = result.timestamp_ns, names.world
     shown = [track for track in result.tracks if track.state != "tentative"]
-    made = {
+    fixed = cameras_are_fixed(result.ego, rig)
+    begins = path.poses[0][0] == stamp
+    made = {TF_STATIC: fixed_transforms(result.ego, names)} if fixed and begins else {}
+    made |= {
         ODOMETRY: odometry(result.ego, names),
         PATH: path_message(stamp, path, names),
-        TF: transforms(result.ego, names),
+        TF: transforms(result.ego, names, with_cameras=not fixed),
         STATIC_POINTS: points(result, (PointLabel.STATIC,), names),
         DYNAMIC_POINTS: points(result, (PointLabel.DYNAMIC,), names),
         OBJECTS: object_array(stamp, world, result.tracks),
@@ -114,7 +129,7 @@ def overlay_message(
     names: FrameNames = FrameNames(),
 ) -> Published:
     """The overlay (height, width, 3), blue-green-red."""
-    return Published(OVERLAY, image(timestamp_ns, names.cam0, overlay))
+    return Published(OVERLAY, jpeg(timestamp_ns, names.cam0, overlay))
 
 
 def odometry(ego: EgoEstimate, names: FrameNames) -> Message:
@@ -182,15 +197,30 @@ def path_message(timestamp_ns: int, path: PathSoFar, names: FrameNames) -> Messa
     return Message("nav_msgs/Path", {"header": header(timestamp_ns, names.world), "poses": poses})
 
 
-def transforms(ego: EgoEstimate, names: FrameNames) -> Message:
-    """world -> imu -> cam0, cam1; the cameras each time, since they are calibrated online."""
-    stamp = ego.timestamp_ns
-    edges = (
-        transform(stamp, names.world, names.imu, ego.T_world_imu),
-        transform(stamp, names.imu, names.cam0, ego.T_imu_cam0),
-        transform(stamp, names.imu, names.cam1, ego.T_imu_cam1),
-    )
+def cameras_are_fixed(ego: EgoEstimate, rig: StereoRig) -> bool:
+    """Are the cameras where the calibration files have them: are they not estimated?"""
+    left = np.array_equal(ego.T_imu_cam0, rig.T_imu_cam0)
+    return bool(left and np.array_equal(ego.T_imu_cam1, rig.T_imu_cam1))
+
+
+def transforms(ego: EgoEstimate, names: FrameNames, *, with_cameras: bool) -> Message:
+    """world -> imu and, where they are estimated, imu -> cam0, cam1."""
+    edges = (transform(ego.timestamp_ns, names.world, names.imu, ego.T_world_imu),)
+    if with_cameras:
+        edges += _camera_transforms(ego, names)
     return Message("tf2_msgs/TFMessage", {"transforms": edges})
+
+
+def fixed_transforms(ego: EgoEstimate, names: FrameNames) -> Message:
+    """imu -> cam0, cam1."""
+    return Message("tf2_msgs/TFMessage", {"transforms": _camera_transforms(ego, names)})
+
+
+def _camera_transforms(ego: EgoEstimate, names: FrameNames) -> tuple[Message, ...]:
+    return (
+        transform(ego.timestamp_ns, names.imu, names.cam0, ego.T_imu_cam0),
+        transform(ego.timestamp_ns, names.imu, names.cam1, ego.T_imu_cam1),
+    )
 
 
 def points(result: FrameResult, labels: Iterable[PointLabel], names: FrameNames) -> Message:

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from ovmot.ros.watch import Line
+
 
 class MasterWatch:
     """Reports once that the master is gone; registers this node again when there is a new one."""
@@ -13,15 +15,16 @@ class MasterWatch:
         self._master = rosgraph.Master(rospy.get_name())
         self._pid: int | None = self._ask()
 
-    def look(self) -> list[str]:
+    def look(self) -> list[Line]:
         """Lines for the user."""
         before, self._pid = self._pid, self._ask()
         if self._pid == before:
             return []
         if self._pid is None:
-            return ["the ROS master is gone: connections stay, new ones cannot be made; going on"]
+            gone = "the ROS master is gone: connections stay, new ones cannot be made; going on"
+            return [Line(gone)]
         self._register_again()
-        return ["there is a ROS master again: registered with it"]
+        return [Line("there is a ROS master again: registered with it", "info")]
 
     def published(self) -> dict[str, str] | None:
         """The types of all topics that anybody publishes, None where the master is gone."""

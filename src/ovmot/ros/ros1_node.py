@@ -17,13 +17,15 @@ from ovmot.ros.inputs import (
     live_calibration,
 )
 from ovmot.ros.instances import filled, imu_sample
+from ovmot.ros.messages import LATCHED
 from ovmot.ros.pairing import Side
 from ovmot.ros.parameters import read_parameters
 from ovmot.ros.ros1_master import MasterWatch
 from ovmot.ros.ros1_messages import Ros1Classes, stamp_ns
-from ovmot.ros.session import LIVE_TOPICS
+from ovmot.ros.session import LIVE_TOPICS, RESET_ASKED
 from ovmot.ros.values import Published
-from ovmot.ros.worker import Worker
+from ovmot.ros.watch import Line
+from ovmot.ros.worker import Worker, load_kernels
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 
@@ -60,7 +62,8 @@ class _Node:
     def __init__(self, rospy: Any, settings: Settings, calibration: Calibration) -> None:
         self._rospy = rospy
         topics = input_topics(settings.live, rospy.resolve_name)
-        self._worker = Worker(settings, calibration, topics, _Publishers(rospy), rospy.logwarn)
+        self._worker = Worker(settings, calibration, topics, _Publishers(rospy), self._say)
+        load_kernels()  # while the front end's process starts
         self._subscribe(topics)
 
     def spin(self) -> None:
@@ -69,7 +72,11 @@ class _Node:
         while not self._rospy.is_shutdown():
             time.sleep(LOOK_EVERY_S)  # not rospy.sleep: simulated time may stand
             for line in (*master.look(), *self._worker.look(master.published())):
-                self._rospy.logwarn(line)
+                self._say(line)
+
+    def _say(self, line: Line) -> None:
+        log = self._rospy.loginfo if line.level == "info" else self._rospy.logwarn
+        log(line.text)
 
     def close(self) -> None:
         """End the worker and say what was done."""
@@ -85,7 +92,7 @@ class _Node:
             intake.put_image(side, stamp_ns(message), message)
 
         def on_reset(_: Any) -> Any:
-            intake.restart("reset asked for")
+            intake.restart(RESET_ASKED)
             return TriggerResponse(success=True, message="starting again, in a new segment")
 
         for side in ("left", "right"):
@@ -111,7 +118,9 @@ class _Publishers:
         self._class_of = Ros1Classes()
         self._time_of = genpy.Time
         self._publishers = {
-            topic: rospy.Publisher(topic, self._class_of(kind), queue_size=RESULTS_QUEUED)
+            topic: rospy.Publisher(
+                topic, self._class_of(kind), queue_size=RESULTS_QUEUED, latch=topic in LATCHED
+            )
             for topic, kind in LIVE_TOPICS.items()
         }
 
@@ -120,8 +129,8 @@ class _Publishers:
         return bool(self._publishers[topic].get_num_connections() > 0)
 
     def send(self, published: Published) -> None:
-        """Publish, where anybody listens."""
-        if self.wanted(published.topic):
+        """Publish, where anybody listens or may listen later."""
+        if published.topic in LATCHED or self.wanted(published.topic):
             message = filled(published.message, self._class_of, self._time_of)
             self._publishers[published.topic].publish(message)
 

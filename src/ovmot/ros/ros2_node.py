@@ -18,10 +18,12 @@ from ovmot.ros.inputs import (
     live_calibration,
 )
 from ovmot.ros.instances import filled, imu_sample
+from ovmot.ros.messages import LATCHED
 from ovmot.ros.pairing import Side
-from ovmot.ros.session import LIVE_TOPICS
+from ovmot.ros.session import LIVE_TOPICS, RESET_ASKED
 from ovmot.ros.values import Published
-from ovmot.ros.worker import Worker
+from ovmot.ros.watch import Line
+from ovmot.ros.worker import Worker, load_kernels
 from ovmot.settings import Settings
 from ovmot.settings_file import load_settings
 
@@ -63,7 +65,8 @@ class _Node:
         self._log = self._node.get_logger()
         topics = input_topics(settings.live, self._node.resolve_topic_name)
         publishers = _Publishers(self._node)
-        self._worker = Worker(settings, calibration, topics, publishers, self._log.warning)
+        self._worker = Worker(settings, calibration, topics, publishers, self._say)
+        load_kernels()  # while the front end's process starts
         self._subscribe(topics)
 
     def spin(self) -> None:
@@ -74,7 +77,11 @@ class _Node:
             if time.monotonic() >= next_look_s:
                 next_look_s += LOOK_EVERY_S
                 for line in self._worker.look(self._published()):
-                    self._log.warning(line)
+                    self._say(line)
+
+    def _say(self, line: Line) -> None:
+        log = self._log.info if line.level == "info" else self._log.warning
+        log(line.text)
 
     def close(self) -> None:
         """End the worker and say what was done."""
@@ -106,7 +113,7 @@ class _Node:
             )  # fmt: skip
 
         def on_reset(_: Any, response: Any) -> Any:
-            intake.restart("reset asked for")
+            intake.restart(RESET_ASKED)
             response.success, response.message = True, "starting again, in a new segment"
             return response
 
@@ -133,7 +140,7 @@ class _Publishers:
             except ImportError:
                 node.get_logger().warning(f"{topic} is left out: {kind} is not installed")
                 continue
-            self._publishers[topic] = node.create_publisher(found, topic, RESULTS_QUEUED)
+            self._publishers[topic] = node.create_publisher(found, topic, _quality(topic))
 
     def wanted(self, topic: str) -> bool:
         """Does anybody listen to this topic?"""
@@ -141,10 +148,21 @@ class _Publishers:
         return publisher is not None and publisher.get_subscription_count() > 0
 
     def send(self, published: Published) -> None:
-        """Publish, where anybody listens."""
-        if self.wanted(published.topic):
-            message = filled(published.message, _class_of, self._time_of)
-            self._publishers[published.topic].publish(message)
+        """Publish, where anybody listens or may listen later."""
+        publisher = self._publishers.get(published.topic)
+        if publisher is None:
+            return
+        if published.topic in LATCHED or self.wanted(published.topic):
+            publisher.publish(filled(published.message, _class_of, self._time_of))
+
+
+def _quality(topic: str) -> Any:
+    """Of a publisher; a latched topic is one that is transient local."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    if topic in LATCHED:
+        return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return QoSProfile(depth=RESULTS_QUEUED)
 
 
 def _class_of(type_name: str) -> Any:

@@ -6,7 +6,7 @@ Nothing here knows a version of ROS: a `Sink` sends the messages.
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ovmot.ros.intake import Batch, Intake, WaitingPair
 from ovmot.ros.messages import (
     OVERLAY,
     TF,
+    TF_STATIC,
     TOPICS,
     FrameNames,
     PathSoFar,
@@ -30,12 +31,15 @@ from ovmot.ros.messages import (
 )
 from ovmot.ros.numbering import Numbers
 from ovmot.ros.values import Published
+from ovmot.ros.watch import Line
 from ovmot.settings import LiveSettings
 from ovmot.types import FrameResult, ImuSample, StereoFrame
 
 IMU_ODOMETRY = "/ovmot/odometry/imu_rate"
 LIVE_TOPICS = {**TOPICS, IMU_ODOMETRY: "nav_msgs/Odometry"}
 """Every topic of a live node and its type."""
+
+RESET_ASKED = "reset asked for"
 
 _WAIT_S = 0.1
 _CARRY_NS = 1_000_000_000  # the IMU alone is no odometry for longer
@@ -68,7 +72,7 @@ class Session:
         rig: StereoRig,
         settings: LiveSettings,
         sink: Sink,
-        say: Callable[[str], None],
+        say: Callable[[Line], None],
     ) -> None:
         self._intake = intake
         self._make_odometry = make_odometry
@@ -95,12 +99,12 @@ class Session:
         """
         batch = self._intake.take(_WAIT_S)
         if batch.restart is not None:
-            self._begin_again(batch.restart)
+            self._begin_again(batch.restart, "info" if batch.restart == RESET_ASKED else "warning")
         try:
             self._do(batch)
         except DatasetError as error:  # one message was bad
             self.counts["refused"] += 1
-            self._say_seldom("refused", f"{error}: left out")
+            self._say_seldom("refused", Line(f"{error}: left out"))
         except OvmotError as error:
             self._begin_again(str(error))
 
@@ -132,8 +136,8 @@ class Session:
                 self._latency_s.append(time.monotonic() - arrived_s)
             self._publish_overlay(result)
 
-    def _begin_again(self, why: str) -> None:
-        self._say(f"{why}: starting again, in a new segment")
+    def _begin_again(self, why: str, level: Literal["info", "warning"] = "warning") -> None:
+        self._say(Line(f"{why}: starting again, in a new segment", level))
         self.counts["restarts"] += 1
         self._first = self._free
         self._odometry.close()
@@ -152,15 +156,15 @@ class Session:
             numbered = self._first.applied(result)
             self._free = self._free.beyond(numbered)
             if result.segment and numbered.segment != self._path.segment:
-                self._say(f"the motion was lost before {stamp} ns: started again there")
+                self._say(Line(f"the motion was lost before {stamp} ns: started again there"))
             yield numbered
 
     def _publish(self, result: FrameResult) -> None:
         self.counts["results"] += 1
         self._newest_ns = result.timestamp_ns
         self._path = self._path.extended(result)
-        for published in frame_messages(result, self._path, self._names):
-            if published.topic != TF or self._settings.publish_tf:
+        for published in frame_messages(result, self._path, self._rig, self._names):
+            if published.topic not in (TF, TF_STATIC) or self._settings.publish_tf:
                 self._sink.send(published)
 
     def _publish_between(self, sample: ImuSample, batch: Batch) -> None:
@@ -185,9 +189,9 @@ class Session:
             self.counts["before_start"] += 1
             self._said_s.setdefault("start", time.monotonic())  # a quick start needs no words
             why = self._odometry.not_started_because or "no frame is covered by the IMU"
-            self._say_seldom("start", f"no start yet: {why}")
+            self._say_seldom("start", Line(f"no start yet: {why}", "info"))
 
-    def _say_seldom(self, subject: str, line: str) -> None:
+    def _say_seldom(self, subject: str, line: Line) -> None:
         now_s = time.monotonic()
         if now_s - self._said_s.get(subject, -np.inf) >= _SAY_EVERY_S:
             self._said_s[subject] = now_s

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,10 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ovmot.ros.environment import SHARE
 from ovmot.ros.values import Message, Time, Value
 
-_MSG_FOLDER = "ovmot_msgs"
+_OWN = "ovmot_msgs"
 _TF = "geometry_msgs/TransformStamped[] transforms\n"
 
 
@@ -32,9 +32,8 @@ def typestore(ros_version: int) -> Typestore:
 
 def own_definitions() -> dict[str, str]:
     """The text of each message that ovmot defines itself, by its ROS name."""
-    folder = files("ovmot.ros") / "msg"
-    found = sorted((f for f in folder.iterdir() if f.name.endswith(".msg")), key=lambda f: f.name)
-    return {f"{_MSG_FOLDER}/{f.name.removesuffix('.msg')}": f.read_text() for f in found}
+    files = sorted((SHARE / _OWN / "msg").glob("*.msg"))
+    return {f"{_OWN}/{file.stem}": file.read_text() for file in files}
 
 
 def rosbags_name(type_name: str) -> str:

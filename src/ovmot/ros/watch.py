@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 from ovmot.ros.inputs import STREAMS, InputTopic, why_silent
 
@@ -10,6 +11,13 @@ SILENT_S = 1.0
 _REMIND_S = 30.0  # and after twice the time, and so on
 _REPORT_S = 5.0  # losses, and new reasons for a silence, no more often
 _PAIRS, _SUBJECT = "pairs", "pairs of left and right"
+
+
+class Line(NamedTuple):
+    """A line for the user; a warning unless everything is as it should be."""
+
+    text: str
+    level: Literal["info", "warning"] = "warning"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +67,7 @@ class Watch:
         grew_s = dict.fromkeys((*STREAMS, _PAIRS), now_s)
         return cls(topics, Counter(), grew_s, {}, now_s, Counter())
 
-    def look(self, sight: Sight) -> tuple["Watch", list[str]]:
+    def look(self, sight: Sight) -> tuple["Watch", list[Line]]:
         """The watch after this look, and lines for the user."""
         now_s, counts = sight.now_s, sight.counts
         grew_s = {
@@ -69,7 +77,7 @@ class Watch:
         silent_s = {name: now_s - then for name, then in grew_s.items() if now_s - then >= SILENT_S}
         if "left" in silent_s or "right" in silent_s:
             silent_s.pop(_PAIRS, None)  # no wonder
-        lines, said = [], {}
+        lines, said = list[Line](), dict[str, _Said]()
         for name, duration_s in silent_s.items():
             before = self.said.get(name)
             why = self._why(name, sight, "" if before is None else before.why)
@@ -78,16 +86,19 @@ class Watch:
                 continue
             said[name] = _Said(why, duration_s)
             subject = _SUBJECT if name == _PAIRS else self.topics[name].name
-            lines.append(f"{subject}: nothing for {duration_s:.0f} s{why}")
+            lines.append(Line(f"{subject}: nothing for {duration_s:.0f} s{why}"))
         lines += [
-            f"{self.topics[name].name}: messages {'again' if self.counts[name] else 'come'}"
+            Line(
+                f"{self.topics[name].name}: messages {'again' if self.counts[name] else 'come'}",
+                "info",
+            )
             for name in STREAMS
             if name in self.said and name not in silent_s
         ]
         seen = replace(self, counts=counts, grew_s=grew_s, said=said)
         if now_s - self.reported_s < _REPORT_S:
             return seen, lines
-        lines += _losses(counts, self.reported)
+        lines += [Line(text) for text in _losses(counts, self.reported)]
         return replace(seen, reported_s=now_s, reported=counts), lines
 
     def _why(self, name: str, sight: Sight, before: str) -> str:

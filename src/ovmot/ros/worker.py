@@ -1,5 +1,6 @@
 """The thread between a node's callbacks and its messages, for either version of ROS."""
 
+import gc
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -9,8 +10,20 @@ from ovmot.datasets.calibration import Calibration
 from ovmot.ros.inputs import InputTopic
 from ovmot.ros.intake import Intake
 from ovmot.ros.session import Session, Sink
-from ovmot.ros.watch import Sight, Watch
+from ovmot.ros.watch import Line, Sight, Watch
 from ovmot.settings import Settings
+from ovmot.warmup import PARTS
+
+
+def load_kernels() -> None:
+    """Load the compiled code of the later stages, before the first frame has to wait for it.
+
+    Its objects stay as long as the process: the garbage collector need not go through them again.
+    """
+    for name in ("filter", "objects"):
+        PARTS[name]()
+    gc.collect()
+    gc.freeze()
 
 
 class Worker:
@@ -22,7 +35,7 @@ class Worker:
         calibration: Calibration,
         topics: Mapping[str, InputTopic],
         sink: Sink,
-        say: Callable[[str], None],
+        say: Callable[[Line], None],
     ) -> None:
         rig, live = calibration.rig, settings.live
         self.intake = Intake(live, rig.time_offset_s)
@@ -40,7 +53,7 @@ class Worker:
         self._thread = threading.Thread(target=self._work, name="ovmot-worker", daemon=True)
         self._thread.start()
 
-    def look(self, published: Mapping[str, str] | None) -> list[str]:
+    def look(self, published: Mapping[str, str] | None) -> list[Line]:
         """What is to be said of silent or lost inputs; raises what ended the thread.
 
         `published`: the types of all topics that anybody publishes, None where not known.
