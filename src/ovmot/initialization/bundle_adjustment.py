@@ -58,7 +58,7 @@ def bundle_adjust(
     *,
     offset_is_free: bool,
     max_iterations: int = 15,
-    tolerance: float = 0.01,
+    tolerance: float = 0.05,
 ) -> AdjustedWindow:
     """Adjust a window by points seen as `pixels` (F, K, 4), NaN where unseen.
 

@@ -13,7 +13,7 @@ import numpy as np
 from ovmot.geometry import so3
 from ovmot.geometry.arrays import AnyArray, FloatArray
 
-_JPEG_QUALITY = 90  # of 100: text and thin lines stay sharp
+_JPEG_QUALITY = 80  # of 100: the default of image_transport
 
 
 @dataclass(frozen=True, slots=True)
