@@ -38,8 +38,6 @@ from ovmot.vio.state import ACCEL_BIAS, GYRO_BIAS, ImuState
 
 _MIN_STATIC_FRAMES = 3
 _MIN_DYNAMIC_FRAMES = 5
-
-
 _MAX_RMS = 3.0  # of the adjusted window's whitened residuals; beyond, it is refused
 
 
@@ -301,12 +299,8 @@ class _Start:
         )  # fmt: skip
 
     def _features_for_filter(self, guess: InitialGuess) -> IntArray:
-        """Features that the bundle adjustment leaves to the filter.
-
-        The longest tracks of those still seen, which will become SLAM features: they outlive the
-        window, and are worth more unused. Of a stationary rig all of them: its images add nothing
-        to its zero velocity.
-        """
+        """Features left to the filter: the longest tracks of those still seen, later SLAM features,
+        worth more unused; of a stationary rig all, as images add nothing to its zero velocity."""
         frames = guess.frames
         if guess.stationary:
             return np.unique(np.concatenate([f.feature_id for f in frames]))
