@@ -41,8 +41,8 @@ def pairs() -> Pairs:
     q[:15] += np.array([0.9, 0.0, 0.8])
     views = [project_stereo(x, T_CAM1_CAM0)[0] + rng.normal(0.0, SIGMA, (n, 4)) for x in (p, q)]
     root = rng.normal(size=(n, 4, 4))
-    W = np.linalg.inv(1e-2 * root @ np.swapaxes(root, -1, -2) + 25.0 * np.diag(SIGMA**2))
-    return Pairs(T, p, views[0], views[1], W)
+    S = 1e-2 * root @ np.swapaxes(root, -1, -2) + 25.0 * np.diag(SIGMA**2)
+    return Pairs(T, p, views[0], views[1], np.asarray(np.linalg.inv(S), np.float64))
 
 
 def plain_counts(

@@ -5,6 +5,7 @@ OVMOT_ROS_RATE slows the bag down for a busy machine.
 """
 
 import os
+import shlex
 import shutil
 import signal
 import socket
@@ -23,6 +24,7 @@ import pytest
 from ovmot.datasets.kaist.writer import write_kaist
 from ovmot.datasets.registry import open_sequence
 from ovmot.ros.bag_output import IMU, LEFT, RIGHT, write_sequence_bag
+from ovmot.ros.environment import PYTHON, exports
 from ovmot.ros.messages import OBJECTS, ODOMETRY
 from ovmot.ros.typestore import typestore
 from ovmot.run import RunOptions, run_sequence
@@ -278,6 +280,28 @@ def test_without_the_imu_for_two_seconds(ros: Ros, street: Path, tmp_path: Path)
     as_run(results, tmp_path / "live")
     check(tmp_path / "live", tmp_path / "offline", street, words, "IMU cut")
     assert "/imu0: nothing for" in words and "/imu0: messages again" in words
+
+
+def test_tools_of_ros_know_the_messages_and_the_cameras_without_a_workspace(
+    ros: Ros, data_root: Path, tmp_path: Path
+) -> None:
+    """As after `eval "$(python -m ovmot.ros.environment)"`; the tools run by Debian's Python."""
+    folder = data_root / "euroc_mh01"
+    bag = tmp_path / "euroc.bag"
+    write_sequence_bag(bag, open_sequence(folder))
+    node = ros.start_node(folder)
+    lines = (line.removeprefix("export ").partition("=") for line in exports(os.environ))
+    ros.environment |= {name: shlex.split(value)[0] for name, _, value in lines}
+    ros.environment["PYTHONPATH"] = str(PYTHON)
+    echo = ros.start("rostopic", "echo", "-n", "1", OBJECTS)
+    ros.play(bag, "-u", str(PART_S))
+    assert echo.wait(timeout=30) == 0
+    heard = "".join(log.read_text() for log in tmp_path.glob("rostopic_*.log"))
+    assert 'frame_id: "world"' in heard and "objects:" in heard
+    cameras = ros.call("rostopic", "echo", "-n", "1", "/tf_static") or ""  # sent long ago
+    assert 'child_frame_id: "cam0"' in cameras and 'child_frame_id: "cam1"' in cameras
+    assert "success: True" in (ros.call("rosservice", "call", "/ovmot/reset") or "")
+    assert "[INFO]" in ros.end_node(node)
 
 
 def test_a_new_master_is_used_and_a_wrong_name_is_said_with_the_right_ones(

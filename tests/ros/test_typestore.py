@@ -44,6 +44,7 @@ def test_both_versions_of_ros_carry_every_message(
     assert odometry.pose.pose.position.z == 3.0
     assert image.format == "jpeg" and len(image.data) < drawn.size
     shown = cv2.imdecode(np.asarray(image.data), cv2.IMREAD_COLOR)
+    assert shown is not None
     np.testing.assert_allclose(shown, drawn, atol=4)
     objects = read[messages.OBJECTS].objects
     assert [(o.id, o.state) for o in objects] == [(7, 1), (8, 2), (9, 0)]

@@ -127,7 +127,8 @@ def _refine(
         information, gradient = motion_system_compiled(T, p, z, W, T_c1_c0, bound, _HUBER)
         information[:3, :3] += np.eye(3) / rotation_sigma**2
         gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
-        step = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
+        solved = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
+        step = np.asarray(solved, np.float64)
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
         if np.abs(step).max() < 1e-8:
             break
@@ -162,7 +163,7 @@ def _refine_with_points(
         information = new
         information[:3, :3] += np.eye(3) / rotation_sigma**2
         gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
-        step = np.linalg.solve(information, gradient)
+        step = np.asarray(np.linalg.solve(information, gradient), np.float64)
         point = point + c - B @ step
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
         if np.abs(step).max() < 1e-8:

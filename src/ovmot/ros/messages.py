@@ -205,10 +205,9 @@ def cameras_are_fixed(ego: EgoEstimate, rig: StereoRig) -> bool:
 
 def transforms(ego: EgoEstimate, names: FrameNames, *, with_cameras: bool) -> Message:
     """world -> imu and, where they are estimated, imu -> cam0, cam1."""
-    edges = (transform(ego.timestamp_ns, names.world, names.imu, ego.T_world_imu),)
-    if with_cameras:
-        edges += _camera_transforms(ego, names)
-    return Message("tf2_msgs/TFMessage", {"transforms": edges})
+    imu = transform(ego.timestamp_ns, names.world, names.imu, ego.T_world_imu)
+    cameras = _camera_transforms(ego, names) if with_cameras else ()
+    return Message("tf2_msgs/TFMessage", {"transforms": (imu, *cameras)})
 
 
 def fixed_transforms(ego: EgoEstimate, names: FrameNames) -> Message:

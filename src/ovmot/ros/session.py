@@ -42,6 +42,8 @@ LIVE_TOPICS = {**TOPICS, IMU_ODOMETRY: "nav_msgs/Odometry"}
 RESET_ASKED = "reset asked for"
 
 _WAIT_S = 0.1
+_LOOK_S = 0.003  # while a result is awaited: it is there between two messages, too
+_MOST_AWAITED = 500  # of frames before the start, most never have a result
 _CARRY_NS = 1_000_000_000  # the IMU alone is no odometry for longer
 _SAY_EVERY_S = 2.0
 _LATENCIES = 10_000
@@ -97,7 +99,8 @@ class Session:
 
         An error is reported, and the next batch is taken as before.
         """
-        batch = self._intake.take(_WAIT_S)
+        awaited = self._odometry.started and bool(self._arrived_s)
+        batch = self._intake.take(_LOOK_S if awaited else _WAIT_S)
         if batch.restart is not None:
             self._begin_again(batch.restart, "info" if batch.restart == RESET_ASKED else "warning")
         try:
@@ -124,6 +127,8 @@ class Session:
             frame = decoded(batch.pair, self._settings, self._rig)
             self.counts["frames"] += 1
             self._arrived_s[frame.timestamp_ns] = batch.pair.arrived_s
+            if len(self._arrived_s) > _MOST_AWAITED:
+                del self._arrived_s[next(iter(self._arrived_s))]
             self._publish_all(self._odometry.add(frame))
             self._say_why_not_started()
         self._publish_all(self._odometry.ready())
@@ -131,10 +136,16 @@ class Session:
     def _publish_all(self, results: Sequence[FrameResult]) -> None:
         for result in self._numbered(results):
             self._publish(result)
-            arrived_s = self._arrived_s.pop(result.timestamp_ns, None)
-            if arrived_s is not None:
-                self._latency_s.append(time.monotonic() - arrived_s)
+            self._note_latency(result.timestamp_ns)
             self._publish_overlay(result)
+
+    def _note_latency(self, frame_ns: int) -> None:
+        """A frame has its result; those before it have theirs or get none."""
+        arrived_s = self._arrived_s.pop(frame_ns, None)
+        if arrived_s is not None:
+            self._latency_s.append(time.monotonic() - arrived_s)
+        for older in [stamp for stamp in self._arrived_s if stamp < frame_ns]:
+            del self._arrived_s[older]
 
     def _begin_again(self, why: str, level: Literal["info", "warning"] = "warning") -> None:
         self._say(Line(f"{why}: starting again, in a new segment", level))
