@@ -28,11 +28,12 @@ def figure(width: float = 7.0, height: float = 3.0, columns: int = 1, rows: int 
     return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")
 
 
-def save(made: Any, name: str, folder: Path = IMAGES) -> Path:
-    """Write a figure as PNG, and close it; the file is a few tens of kilobytes."""
+def save(made: Any, name: str, folder: Path = IMAGES, kind: str = "png") -> Path:
+    """Write a figure, and close it: lines as PNG, photographs as JPEG, some tens of kilobytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name}.png"
-    made.savefig(path, dpi=110, metadata={"Software": None})
+    path = folder / f"{name}.{kind}"
+    further = {"metadata": {"Software": None}} if kind == "png" else {"pil_kwargs": {"quality": 70}}
+    made.savefig(path, dpi=110, **further)
     plt.close(made)
     return path
 

@@ -1,4 +1,4 @@
-"""Figures of docs/results.md, of a run on the demo street.
+"""Figures of docs/results.md, of a run on a simulated street.
 
 python docs/figures/results.py
 """
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import BLUE, COLOURS, GREEN, GREY, IMAGES, RED, figure, save, street
+from common import BLUE, COLOURS, GREY, IMAGES, RED, figure, save, street
 
 import ovmot
 from ovmot.evaluation.matching import ComparedFrame
@@ -17,7 +17,7 @@ STAGES = ("match", "split", "correct", "objects", "predict", "forget", "start")
 
 def main(folder: Path = IMAGES, **simulated: Any) -> list[Path]:
     """Draw the five figures; `simulated` are arguments of `ovmot.simulate`."""
-    data, run = street("demo", **({"size": (640, 280)} | simulated))
+    data, run = street("traffic", **({"seed": 41, "size": (640, 280)} | simulated))
     evaluation = ovmot.evaluate(run, data)
     return [
         _map(run, folder),
@@ -42,7 +42,7 @@ def tracks_of(run: ovmot.Run) -> list[tuple[int, Any]]:
 
 
 def _map(run: ovmot.Run, folder: Path) -> Path:
-    made, axes = figure(7.0, 3.4)
+    made, axes = figure(7.0, 2.3)
     position = run.trajectory.T_world_imu[:, :3, 3]
     axes.plot(position[:, 0], position[:, 1], color="k", lw=2.0, label="the rig")
     axes.plot(*position[0, :2], "ko", ms=5)
@@ -74,18 +74,22 @@ def _speeds(run: ovmot.Run, frames: tuple[ComparedFrame, ...], folder: Path) -> 
         sigma = np.hypot(rows["vx"] * rows["std_vx"], rows["vy"] * rows["std_vy"]) / speed
         axes.fill_between(time, speed - sigma, speed + sigma, color=colour, alpha=0.25, lw=0)
         axes.plot(time, speed, color=colour, label=f"object {track_id}")
-        true = [
-            (seconds(run, frame.objects.timestamp_ns), np.linalg.norm(frame.objects.velocity[i]))
-            for frame in frames
-            for i, j in frame.pairs.tolist()
-            if frame.tracks.track_id[j] == track_id
-        ]
-        if true:
-            axes.plot(*np.transpose(true), color=colour, ls=":", lw=1.2)
+        axes.plot(*_true_speed(run, frames, track_id), color=colour, ls=":", lw=1.2)
     axes.plot([], [], "k:", lw=1.2, label="true")
     axes.set(xlabel="time (s)", ylabel="speed (m/s)", ylim=(0.0, None))
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return save(made, "results_speeds", folder)
+
+
+def _true_speed(run: ovmot.Run, frames: tuple[ComparedFrame, ...], track_id: int) -> Any:
+    """Times and speeds (2, N) of the object that a track is on; NaN where it is on none."""
+    rows = []
+    for frame in frames:
+        i, j = frame.pairs.T
+        of_track = i[frame.tracks.track_id[j] == track_id]
+        true = np.linalg.norm(frame.objects.velocity[of_track], axis=1)
+        rows.append((seconds(run, frame.objects.timestamp_ns), true[0] if len(true) else np.nan))
+    return np.transpose(rows)
 
 
 def _points(data: Path, run: ovmot.Run, folder: Path) -> Path:
@@ -103,7 +107,7 @@ def _points(data: Path, run: ovmot.Run, folder: Path) -> Path:
     axes.grid(False)
     axes.set_axis_off()
     axes.legend(fontsize=8, loc="upper right")
-    return save(made, "results_points", folder)
+    return save(made, "results_points", folder, "jpg")
 
 
 def left_image(data: Path, stamp: int) -> Any:
@@ -120,7 +124,7 @@ def _timing(run: ovmot.Run, folder: Path) -> Path:
     named = [name for name in STAGES if name in (timing.dtype.names or ())]
     values = np.nan_to_num(np.array([timing[name] for name in named]))
     axes.stackplot(
-        seconds(run, timing["timestamp_ns"]), values, labels=named, colors=[*COLOURS, GREEN],
+        seconds(run, timing["timestamp_ns"]), values, labels=named, colors=[*COLOURS, GREY],
         lw=0,
     )  # fmt: skip
     typical = np.percentile(values.sum(axis=0), 90)

@@ -1,0 +1,84 @@
+"""Figures of docs/limits.md: what is missed and what is wrongly found, in pictures.
+
+python docs/figures/limits.py
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from common import BLUE, GREEN, GREY, IMAGES, RED, figure, save, street
+from results import left_image
+
+import ovmot
+from ovmot.evaluation.matching import ComparedFrame
+from ovmot.geometry.arrays import IntArray
+
+SEED = 41
+
+
+def main(folder: Path = IMAGES, **simulated: Any) -> list[Path]:
+    """Draw all figures; `simulated` are arguments of `ovmot.simulate`."""
+    given: dict[str, Any] = {"seed": SEED, "size": (640, 280)} | simulated
+    return [
+        _outlines("traffic", _missed, "limits_missed", folder, given),
+        _outlines("jam", _found, "limits_jam", folder, given),
+        _dark(folder, given),
+    ]
+
+
+def _missed(frame: ComparedFrame) -> IntArray:
+    """Rows of the objects that have to be found and are not."""
+    needed = np.flatnonzero(frame.needed)
+    return needed[~np.isin(needed, frame.pairs[:, 0])]
+
+
+def _found(frame: ComparedFrame) -> IntArray:
+    return frame.pairs[:, 0]
+
+
+def _outlines(
+    scene: str,
+    wanted: Callable[[ComparedFrame], IntArray],
+    name: str,
+    folder: Path,
+    given: dict[str, Any],
+) -> Path:
+    """The frame with most of the wanted objects: found ones outlined green, missed ones red."""
+    data, run = street(scene, **given)
+    frames = [frame for frame in ovmot.evaluate(run, data).frames if frame.objects.timestamp_ns]
+    frame = max(frames, key=lambda f: len(wanted(f)))
+    stamp = frame.objects.timestamp_ns
+    ids = cv2.imread(str(data / "truth" / f"{stamp}.png"), cv2.IMREAD_UNCHANGED)
+    made, axes = figure(7.0, 3.2)
+    axes.imshow(left_image(data, stamp), cmap="gray", vmin=0, vmax=255)
+    for rows, colour in ((_found(frame), GREEN), (_missed(frame), RED)):
+        for object_id in frame.objects.object_id[rows].tolist():
+            axes.contour(ids == object_id, levels=[0.5], colors=[colour], linewidths=1.5)
+    axes.set_axis_off()
+    return save(made, name, folder, "jpg")
+
+
+def _dark(folder: Path, given: dict[str, Any]) -> Path:
+    """The same street by day and at night, with the features of one frame by their labels."""
+    made, both = figure(7.5, 2.0, columns=2)
+    for axes, scene in zip(both, ("traffic", "night"), strict=True):
+        data, run = street(scene, **given)
+        points = run.points
+        stamps = np.unique(points["timestamp_ns"])
+        stamp = int(stamps[len(stamps) // 3])
+        now = points[points["timestamp_ns"] == stamp]
+        axes.imshow(left_image(data, stamp), cmap="gray", vmin=0, vmax=255)
+        for label, colour in (("static", BLUE), ("unknown", GREY), ("dynamic", RED)):
+            rows = now[now["label"] == label]
+            axes.plot(rows["u"], rows["v"], ".", ms=2.5, color=colour)
+        axes.set_title(f"{scene}: {len(now)} features", fontsize=9)
+        axes.set_axis_off()
+    return save(made, "limits_dark", folder, "jpg")
+
+
+if __name__ == "__main__":
+    ovmot.prepare_process()
+    main()
