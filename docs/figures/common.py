@@ -48,6 +48,6 @@ def street(scene: str, **simulated: Any) -> tuple[Path, ovmot.Run]:
         ovmot.simulate(scene, **simulated).write(data)
     if not (out / "run.json").exists() or ovmot.Run(out).summary["ended"] != "finished":
         print(f"run {name}", flush=True)
-        options = ovmot.RunOptions(out, save_points=True, video=True, force=True, threads=2)
+        options = ovmot.RunOptions(out, save_points=True, force=True)
         ovmot.run_sequence(ovmot.open(data), ovmot.Settings(), options)
     return data, ovmot.Run(out)

@@ -15,6 +15,7 @@ from results import left_image
 import ovmot
 from ovmot.evaluation.matching import ComparedFrame
 from ovmot.geometry.arrays import IntArray
+from ovmot.sim.faults import InjectedFault, Span, with_faults
 
 SEED = 41
 
@@ -26,6 +27,7 @@ def main(folder: Path = IMAGES, **simulated: Any) -> list[Path]:
         _outlines("traffic", _missed, "limits_missed", folder, given),
         _outlines("jam", _found, "limits_jam", folder, given),
         _dark(folder, given),
+        _blind(folder, {"size": given["size"]} | simulated),
     ]
 
 
@@ -77,6 +79,33 @@ def _dark(folder: Path, given: dict[str, Any]) -> Path:
         axes.set_title(f"{scene}: {len(now)} features", fontsize=9)
         axes.set_axis_off()
     return save(made, "limits_dark", folder, "jpg")
+
+
+def _blind(folder: Path, given: dict[str, Any]) -> Path:
+    """The position's error and its band where both cameras show nothing for a while."""
+    data, _ = street("demo", **given)
+    sequence = ovmot.open(data)
+    begin, end = (int(sequence.frame_ns[0] + share * np.ptp(sequence.frame_ns)) for share in (0.4, 0.7))
+    fault = InjectedFault("black_images", Span(begin, end))
+    out = data.parent / "blind"
+    options = ovmot.RunOptions(out, force=True)
+    ovmot.run_sequence(with_faults(sequence, fault), ovmot.Settings(), options)
+    series = ovmot.evaluate(out, data).ego.series
+    time = 1e-9 * (series.timestamp_ns - sequence.frame_ns[0])
+    made, axes = figure(7.0, 2.6)
+    error = np.linalg.norm(series.errors[:, 3:], axis=1)
+    band = np.linalg.norm(series.three_sigma[:, 3:], axis=1)
+    axes.fill_between(time, 0.0, band, color=GREY, alpha=0.3, lw=0, label="3 sigma")
+    axes.plot(time, error, color=BLUE, label="error of the position")
+    state = ovmot.Run(out).state
+    since = 1e-9 * (state["timestamp_ns"] - sequence.frame_ns[0])
+    degraded = state["health"] != "tracking"
+    axes.plot(since[degraded], np.zeros(degraded.sum()), "|", color=RED, ms=10, label="degraded")
+    axes.axvspan(1e-9 * (begin - sequence.frame_ns[0]), 1e-9 * (end - sequence.frame_ns[0]),
+                 color="k", alpha=0.08, lw=0, label="black images")  # fmt: skip
+    axes.set(xlabel="time (s)", ylabel="m")
+    axes.legend(fontsize=8)
+    return save(made, "limits_blind", folder)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""Pages that are made from the code: the settings, the public API."""
+"""Pages that are made from the code and its files: settings, public API, notebook, sources."""
 
+import json
 from pathlib import Path
 
 import ovmot
@@ -62,6 +63,15 @@ def api_page() -> str:
         for name in found:
             lines += ["", f"### ovmot.{name}", "", f"::: {_home(name)}"]
     return "\n".join(lines) + "\n"
+
+
+def notebook_page(text: str) -> str:
+    """The cells of a notebook (JSON) as Markdown, without their results."""
+    parts = []
+    for cell in json.loads(text)["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+    return "\n\n".join(parts) + "\n"
 
 
 def source_page(root: Path, file: str) -> str:

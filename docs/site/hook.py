@@ -1,4 +1,4 @@
-"""What MkDocs does beside reading `docs/`: pages from the code and from the repository's root.
+"""What MkDocs does beside reading `docs/`: pages from the code and from files outside `docs/`.
 
 Named in `mkdocs.yml`. Nothing is fetched: every page and every file is made from this repository.
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from generated import api_page, settings_page, source_page
+from generated import api_page, notebook_page, settings_page, source_page
 from mkdocs.structure.files import File, Files
 from python_markdown import to_python_markdown
 from site_map import ROOT, ROOT_PAGES, home_of, relink
@@ -30,7 +30,8 @@ def on_files(files: Files, *, config: Any) -> Files:
     made = {"settings.md": settings_page(), "api.md": api_page()}
     for name, page in ROOT_PAGES.items():
         if page != "index.md":
-            made[page] = (ROOT / name).read_text(encoding="utf-8")
+            text = (ROOT / name).read_text(encoding="utf-8")
+            made[page] = notebook_page(text) if name.endswith(".ipynb") else text
     shown: set[str] = set()
     for page in files.documentation_pages():
         relink(page.content_string, page.src_uri, shown.add)

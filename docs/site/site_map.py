@@ -12,8 +12,10 @@ ROOT_PAGES = {
     "CHANGELOG.md": "changelog.md",
     "CONTRIBUTING.md": "contributing.md",
     "README.md": "index.md",
+    "examples/from_data_to_plots.ipynb": "notebook.md",
 }
-"""Files beside `docs/` that are pages of the site too."""
+"""Files outside `docs/` that are pages of the site too; the README stands apart, and links to it
+lead to the site's first page."""
 
 _LINK = re.compile(r"\]\(([^)\s#]+)(#[^)\s]*)?\)")
 _FOLDER_LINK = re.compile(r"\[([^\]]+)\]\(([^)\s#]+)\)")
