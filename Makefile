@@ -74,7 +74,7 @@ demo: install ## simulate a small street, run ovmot on it, say where the results
 	$(BIN)/python examples/demo.py
 
 docs: install-docs ## build the site into build/site, offline; a warning is an error
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "build/site/index.html"
 
 figures: install ## make the docs' figures anew: simulates and runs, some minutes

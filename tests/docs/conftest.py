@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from doc_desk import Desk
 
 import ovmot
 
@@ -22,3 +23,12 @@ def docs_run(docs_street: Path) -> Path:
     options = ovmot.RunOptions(out, save_points=True)
     ovmot.run_sequence(ovmot.open(docs_street), ovmot.Settings(), options)
     return out
+
+
+@pytest.fixture
+def desk(
+    tmp_path: Path, docs_street: Path, docs_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> Desk:
+    """An empty folder, the present one, in which names of the pages are made when needed."""
+    monkeypatch.chdir(tmp_path)
+    return Desk(tmp_path, docs_street, docs_run)

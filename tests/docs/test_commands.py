@@ -14,10 +14,9 @@ from typing import Any
 import pytest
 import typer
 from doc_blocks import PAGES, ROOT, Command, all_commands, blocks_of, commands_of, page_name
+from doc_desk import Desk
 
-import ovmot
 from ovmot.cli import app as cli
-from ovmot.ros.bag_output import write_sequence_bag
 
 NOT_OURS = {
     "sudo": "needs root",
@@ -47,8 +46,6 @@ NOT_RUN = {
 """Patterns of `ovmot` commands that are parsed alone."""
 
 MAKE_TARGETS = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M)
-OUTPUTS = ("-o", "--out", "--bag", "--json", "--fix")
-"""The word after one of these is written, not read."""
 
 
 def why_not_run(command: Command) -> str | None:
@@ -76,57 +73,6 @@ def parse(words: list[str]) -> None:
     command = group.get_command(context, words[0])
     assert command is not None, f"no command {words[0]}"
     command.make_context(words[0], words[1:], parent=context)
-
-
-class Desk:
-    """An empty folder in which commands find what they read: made when a word names it."""
-
-    def __init__(self, folder: Path, street: Path, street_run: Path) -> None:
-        self.folder, self.street, self.street_run = folder, street, street_run
-
-    def provide(self, words: tuple[str, ...]) -> None:
-        """Make what a command reads and is not there yet."""
-        read = [
-            word
-            for before, word in zip(("", *words), words, strict=False)
-            if before not in OUTPUTS and not (before == "simulate")
-        ]
-        for word in read:
-            name = word.rstrip("/")
-            maker = self.makers().get(name)
-            if maker and not (self.folder / name).exists():
-                maker(self.folder / name)
-
-    def makers(self) -> dict[str, Callable[[Path], object]]:
-        sequences = dict.fromkeys(("DATA", "mydata", "MH_01_easy"), self._link)
-        runs = dict.fromkeys(("OUT", "RUN", "out"), self._copy_run)
-        bags = dict.fromkeys(("drive.bag", "drive.mcap"), self._bag)
-        return sequences | runs | bags | {
-            "chain.yaml": self._chain,
-            "fixed.yaml": lambda path: path.write_text("{}"),
-            "mine.yaml": lambda path: path.write_text("tracker: {max_features: 300}\n"),
-            "truth.tum": lambda path: shutil.copy(self.street_run / "trajectory.tum", path),
-        }  # fmt: skip
-
-    def _link(self, path: Path) -> None:
-        path.symlink_to(self.street)
-
-    def _copy_run(self, path: Path) -> None:
-        shutil.copytree(self.street_run, path)
-
-    def _chain(self, path: Path) -> None:
-        ovmot.write_calibration(ovmot.open(self.street), path)
-
-    def _bag(self, path: Path) -> None:
-        write_sequence_bag(path, ovmot.open(self.street))
-
-
-@pytest.fixture
-def desk(
-    tmp_path: Path, docs_street: Path, docs_run: Path, monkeypatch: pytest.MonkeyPatch
-) -> Desk:
-    monkeypatch.chdir(tmp_path)
-    return Desk(tmp_path, docs_street, docs_run)
 
 
 def run_blocks() -> list[Path]:
