@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import BLUE, GREEN, GREY, IMAGES, ORANGE, RED, figure, save, street
-from results import left_image
-from rig import depth_sigma
 
 import ovmot
+from common import BLUE, GREEN, GREY, IMAGES, ORANGE, RED, figure, save, street
 from ovmot.geometry.arrays import FloatArray
 from ovmot.physics import PIXEL_SIGMA, gate
+from results import left_image
+from rig import depth_sigma
 
 BASELINE_M, FOCAL_PX = 0.475, 408.0
 """The rig of the simulated streets at 640x280: KAIST's, at half its size."""
@@ -85,7 +85,9 @@ def _depth(folder: Path) -> Path:
             along = float(depth_sigma(np.array(depth), BASELINE_M, FOCAL_PX))
             across = depth * PIXEL_SIGMA / FOCAL_PX
             shape = np.stack([along * np.cos(circle), across * np.sin(circle)])
-            turn = np.array([[np.cos(bearing), -np.sin(bearing)], [np.sin(bearing), np.cos(bearing)]])
+            turn = np.array(
+                [[np.cos(bearing), -np.sin(bearing)], [np.sin(bearing), np.cos(bearing)]]
+            )
             where = depth * np.array([np.cos(bearing), np.sin(bearing)])
             axes.plot(*(turn @ shape + where[:, None]), color=BLUE, lw=1.0)
     axes.plot(0.0, 0.0, "k^", ms=8)
@@ -99,7 +101,9 @@ def smallest_speed(depth: FloatArray, span: float, along_ray: bool) -> FloatArra
     Two independent stereo positions differ by √2 of their sigma; the gate is that of the covariance
     test, at its default probability of a false alarm.
     """
-    sigma = depth_sigma(depth, BASELINE_M, FOCAL_PX) if along_ray else depth * PIXEL_SIGMA / FOCAL_PX
+    sigma = (
+        depth_sigma(depth, BASELINE_M, FOCAL_PX) if along_ray else depth * PIXEL_SIGMA / FOCAL_PX
+    )
     limit = np.sqrt(gate(4, 1.0 - ovmot.Settings().segmentation.false_alarm))
     forgiven = ovmot.Settings().segmentation.forgiven_speed_mps
     return np.asarray(limit * np.hypot(np.sqrt(2.0) * sigma / span, forgiven))
@@ -118,7 +122,9 @@ def _motion(folder: Path) -> Path:
     for speed, name in ((1.3, "walker"), (13.9, "50 km/h")):
         axes.axhline(speed, color=GREY, lw=0.8)
         axes.text(50.5, speed, name, fontsize=8, va="center")
-    axes.set(xlabel="distance (m)", ylabel="speed that shows (m/s)", ylim=(0.3, 300.0), xlim=(0.0, 50.0))
+    axes.set(
+        xlabel="distance (m)", ylabel="speed that shows (m/s)", ylim=(0.3, 300.0), xlim=(0.0, 50.0)
+    )
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.1, 0.5))
     return save(made, "algorithm_motion", folder)
 

@@ -1,13 +1,12 @@
-"""Draw all figures of the docs anew: `make figures`. Streets are simulated where they are missing."""
+"""Draw all figures of the docs anew (`make figures`); streets are simulated where missing."""
 
 import algorithm
 import limits
 import objects
 import overlay
+import ovmot
 import results
 import rig
-
-import ovmot
 
 if __name__ == "__main__":
     ovmot.prepare_process()

@@ -9,13 +9,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from common import BLUE, GREEN, GREY, IMAGES, RED, figure, save, street
-from results import left_image
 
 import ovmot
+from common import BLUE, GREEN, GREY, IMAGES, RED, figure, save, street
 from ovmot.evaluation.matching import ComparedFrame
 from ovmot.geometry.arrays import IntArray
 from ovmot.sim.faults import InjectedFault, Span, with_faults
+from results import left_image
 
 SEED = 41
 
@@ -85,24 +85,25 @@ def _blind(folder: Path, given: dict[str, Any]) -> Path:
     """The position's error and its band where both cameras show nothing for a while."""
     data, _ = street("demo", **given)
     sequence = ovmot.open(data)
-    begin, end = (int(sequence.frame_ns[0] + share * np.ptp(sequence.frame_ns)) for share in (0.4, 0.7))
+    start, length = sequence.frame_ns[0], np.ptp(sequence.frame_ns)
+    begin, end = int(start + 0.4 * length), int(start + 0.7 * length)
     fault = InjectedFault("black_images", Span(begin, end))
     out = data.parent / "blind"
     options = ovmot.RunOptions(out, force=True)
     ovmot.run_sequence(with_faults(sequence, fault), ovmot.Settings(), options)
     series = ovmot.evaluate(out, data).ego.series
-    time = 1e-9 * (series.timestamp_ns - sequence.frame_ns[0])
+    time = 1e-9 * (series.timestamp_ns - start)
     made, axes = figure(7.0, 2.6)
     error = np.linalg.norm(series.errors[:, 3:], axis=1)
     band = np.linalg.norm(series.three_sigma[:, 3:], axis=1)
     axes.fill_between(time, 0.0, band, color=GREY, alpha=0.3, lw=0, label="3 sigma")
     axes.plot(time, error, color=BLUE, label="error of the position")
     state = ovmot.Run(out).state
-    since = 1e-9 * (state["timestamp_ns"] - sequence.frame_ns[0])
+    since = 1e-9 * (state["timestamp_ns"] - start)
     degraded = state["health"] != "tracking"
     axes.plot(since[degraded], np.zeros(degraded.sum()), "|", color=RED, ms=10, label="degraded")
-    axes.axvspan(1e-9 * (begin - sequence.frame_ns[0]), 1e-9 * (end - sequence.frame_ns[0]),
-                 color="k", alpha=0.08, lw=0, label="black images")  # fmt: skip
+    dark = 1e-9 * (begin - start), 1e-9 * (end - start)
+    axes.axvspan(*dark, color="k", alpha=0.08, lw=0, label="black images")
     axes.set(xlabel="time (s)", ylabel="m")
     axes.legend(fontsize=8)
     return save(made, "limits_blind", folder)

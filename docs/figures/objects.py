@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import BLUE, COLOURS, GREY, IMAGES, ORANGE, figure, save, street
 
 import ovmot
+from common import BLUE, COLOURS, GREY, IMAGES, ORANGE, figure, save, street
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria
 from ovmot.evaluation.object_errors import detection_latency
 from ovmot.geometry.arrays import FloatArray
@@ -80,7 +80,8 @@ def _latency(runs: dict[str, list[tuple[ComparedFrame, ...]]], folder: Path) -> 
     seconds = np.sort(np.concatenate([one.seconds for one in late]))
     never = sum(one.never for one in late)
     share = np.arange(1, len(seconds) + 1) / (len(seconds) + never)
-    axes.step([0.0, *seconds, 5.0], [0.0, *share, share[-1] if len(share) else 0.0], where="post", color=BLUE)
+    last = share[-1] if len(share) else 0.0
+    axes.step([0.0, *seconds, 5.0], [0.0, *share, last], where="post", color=BLUE)
     axes.axhline(1.0, color=GREY, lw=0.8, ls=":")
     axes.set(
         xlabel="time since it has to be found (s)", ylabel="share of the objects",

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import av
-from common import IMAGES, street
 from PIL import Image
 
 import ovmot
+from common import IMAGES, street
 
 LIMIT_BYTES = 3_000_000
 SIZES = ((720, 1), (720, 2), (640, 2), (560, 2), (480, 2), (480, 3), (360, 4))
@@ -38,7 +38,8 @@ def frames_of(video: Path) -> list[Image.Image]:
 def fitted(image: Image.Image, width: int) -> Image.Image:
     """The image at this width, or as it is where it is narrower."""
     width = min(width, image.width)
-    return image.resize((width, round(image.height * width / image.width)), Image.Resampling.LANCZOS)
+    height = round(image.height * width / image.width)
+    return image.resize((width, height), Image.Resampling.LANCZOS)
 
 
 def write_gif(frames: list[Image.Image], path: Path, frame_ms: int = 100) -> Path:

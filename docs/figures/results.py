@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import BLUE, COLOURS, GREY, IMAGES, RED, figure, save, street
 
 import ovmot
+from common import BLUE, COLOURS, GREY, IMAGES, RED, figure, save, street
 from ovmot.evaluation.matching import ComparedFrame
 
 STAGES = ("match", "split", "correct", "objects", "predict", "forget", "start")

@@ -6,8 +6,8 @@ python docs/figures/rig.py
 from pathlib import Path
 
 import numpy as np
-from common import BLUE, COLOURS, IMAGES, figure, save
 
+from common import BLUE, COLOURS, IMAGES, figure, save
 from ovmot.geometry.arrays import FloatArray
 from ovmot.physics import PIXEL_SIGMA
 
@@ -18,6 +18,9 @@ RIGS = {
     "KITTI, 0.54 m, 721 px": (0.54, 721.0),
 }
 """Baseline (m) and focal length (pixels)."""
+
+FOCAL_PX, SIDE_M = 700.0, 10.0
+"""Of the figure of the shutter: focal length, and distance of what passes sideways."""
 
 IMUS = {
     "consumer chip": (7e-4, 8e-3, 2e-3, 0.05),
@@ -63,9 +66,11 @@ def _shutter(folder: Path) -> Path:
     made, (left, right) = figure(7.0, 2.8, columns=2)
     readout = np.linspace(1.0, 30.0, 50)
     for rate, colour in zip((2.0, 10.0, 30.0, 90.0), COLOURS, strict=False):
-        left.plot(readout, 700.0 * np.deg2rad(rate) * readout * 1e-3, color=colour, label=f"{rate:.0f} °/s")
+        shift = FOCAL_PX * np.deg2rad(rate) * readout * 1e-3
+        left.plot(readout, shift, color=colour, label=f"{rate:.0f} °/s")
     for speed, colour in zip((1.0, 5.0, 15.0), COLOURS, strict=False):
-        right.plot(readout, 700.0 * speed / 10.0 * readout * 1e-3, color=colour, label=f"{speed:.0f} m/s at 10 m")
+        shift = FOCAL_PX * speed / SIDE_M * readout * 1e-3
+        right.plot(readout, shift, color=colour, label=f"{speed:.0f} m/s at {SIDE_M:.0f} m")
     for axes, title in ((left, "the rig turns"), (right, "things pass sideways")):
         axes.axhline(PIXEL_SIGMA, color="k", lw=0.8, ls=":")
         axes.set(xlabel="readout of the image (ms)", title=title, yscale="log", ylim=(0.05, 100.0))

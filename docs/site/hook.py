@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent))  # MkDocs loads this file alone
+
+from mkdocs.structure.files import File, Files
 
 from generated import api_page, notebook_page, settings_page, source_page
-from mkdocs.structure.files import File, Files
 from python_markdown import to_python_markdown
 from site_map import ROOT, ROOT_PAGES, home_of, relink
 

@@ -41,6 +41,7 @@ NOT_RUN = {
     r"ovmot .*runs/": "the benchmarks' own streets, minutes each",
     r"ovmot .*--scene (?!demo)\w+ .*--(path|format)": "rendered in tests/sim and tests/datasets",
     r"ovmot .*estimator_config.yaml": "read in tests/datasets/test_openvins_config.py",
+    r"ovmot calibrate (RUN|DATA) (?!--as-is)": "see tests/test_run_calibration.py",
     r"ovmot run drive/": "the folder's form of the bag before it",
 }
 """Patterns of `ovmot` commands that are parsed alone."""

@@ -44,7 +44,11 @@ def test_depth_and_drift_by_hand(script: Any) -> None:
 
 def test_figures_of_the_rig(script: Any, tmp_path: Path) -> None:
     drawn = script("rig").main(tmp_path)
-    assert sorted(path.name for path in drawn) == ["rig_depth.png", "rig_imu.png", "rig_shutter.png"]
+    assert sorted(path.name for path in drawn) == [
+        "rig_depth.png",
+        "rig_imu.png",
+        "rig_shutter.png",
+    ]
     assert all(path.stat().st_size < 100_000 for path in drawn)
 
 
@@ -59,14 +63,16 @@ def test_figures_of_runs(script: Any, tmp_path: Path) -> None:
         script("overlay").main(tmp_path, **SMALL),
     ]
     assert all(path.stat().st_size > 2000 for path in drawn)
-    names = {path.name for path in [*drawn, *script("rig").main(tmp_path)]}
+    names = {path.name for path in [*drawn, *script("rig").main(tmp_path)]} | {"overlay.jpg"}
     assert names >= shown_pictures()
 
 
 def shown_pictures() -> set[str]:
     """Names of the pictures in the pages; `overlay.jpg` is a frame of the video."""
     return {
-        Path(link).name for page in PAGES for link in SHOWN.findall(page.read_text(encoding="utf-8"))
+        Path(link).name
+        for page in PAGES
+        for link in SHOWN.findall(page.read_text(encoding="utf-8"))
     }
 
 

@@ -45,9 +45,7 @@ def yaml_block(page: str, start: str) -> str:
     return found[0]
 
 
-def test_the_chain_written_by_hand_is_read(
-    docs_street: Path, tmp_path: Path
-) -> None:
+def test_the_chain_written_by_hand_is_read(docs_street: Path, tmp_path: Path) -> None:
     """The chain of own-data.md is that rig: two equal cameras, half a metre apart."""
     chain = tmp_path / "chain.yaml"
     chain.write_text(yaml_block("own-data.md", "# chain.yaml"))

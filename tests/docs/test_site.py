@@ -11,14 +11,10 @@ from urllib.parse import unquote
 import pytest
 from doc_blocks import ROOT
 
-SITE_CODE = ROOT / "docs" / "site"
-sys.path.insert(0, str(SITE_CODE))
-
-from generated import api_page, notebook_page, settings_page  # noqa: E402
-from python_markdown import to_python_markdown  # noqa: E402
-from site_map import relink, site_path  # noqa: E402
-
-import ovmot  # noqa: E402
+import ovmot
+from generated import api_page, notebook_page, settings_page
+from python_markdown import to_python_markdown
+from site_map import relink, site_path
 
 FETCHED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src"}
 """Tags whose address a browser fetches by itself."""
@@ -26,9 +22,7 @@ FETCHED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "sour
 
 def test_lists_as_python_markdown_wants_them() -> None:
     page = "Text:\n- a\n  more\n\n  second\n- b\n  1. x\n     y\n\nEnd\n"
-    expected = (
-        "Text:\n\n- a\n    more\n\n    second\n\n- b\n    1. x\n        y\n\nEnd\n"
-    )
+    expected = "Text:\n\n- a\n    more\n\n    second\n\n- b\n    1. x\n        y\n\nEnd\n"
     assert to_python_markdown(page) == expected
 
 
