@@ -38,7 +38,8 @@ def main(
 
 def distances(frame: ComparedFrame) -> FloatArray:
     """Distance (N,) of each true object from the rig, m."""
-    return np.linalg.norm(frame.objects.center[:, :2] - frame.T_true[:2, 3], axis=1)
+    away = frame.objects.center[:, :2] - frame.T_true[:2, 3]
+    return np.asarray(np.linalg.norm(away, axis=1))
 
 
 def _by_distance(runs: dict[str, list[tuple[ComparedFrame, ...]]], folder: Path) -> Path:
@@ -71,7 +72,7 @@ def _velocity_errors(frame: ComparedFrame) -> FloatArray:
     i, j = frame.pairs.T
     R_true_run = frame.T_true[:3, :3] @ frame.T_run[:3, :3].T
     velocity = frame.tracks.velocity[j] @ R_true_run.T
-    return np.linalg.norm((velocity - frame.objects.velocity[i])[:, :2], axis=1)
+    return np.asarray(np.linalg.norm((velocity - frame.objects.velocity[i])[:, :2], axis=1))
 
 
 def _latency(runs: dict[str, list[tuple[ComparedFrame, ...]]], folder: Path) -> Path:

@@ -32,7 +32,7 @@ def main(folder: Path = IMAGES, **simulated: Any) -> Path:
 def frames_of(video: Path) -> list[Image.Image]:
     """All frames of a video."""
     with av.open(str(video)) as file:
-        return [frame.to_image() for frame in file.decode(video=0)]
+        return [Image.fromarray(frame.to_ndarray(format="rgb24")) for frame in file.decode(video=0)]
 
 
 def fitted(image: Image.Image, width: int) -> Image.Image:

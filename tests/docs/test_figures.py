@@ -23,7 +23,7 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
     monkeypatch.syspath_prepend(str(FIGURES))
 
     def module(name: str) -> Any:
-        importlib.import_module("common").STREETS = tmp_path / "streets"
+        monkeypatch.setattr(importlib.import_module("common"), "STREETS", tmp_path / "streets")
         return importlib.import_module(name)
 
     yield module

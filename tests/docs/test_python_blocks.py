@@ -50,7 +50,7 @@ def test_the_chain_written_by_hand_is_read(docs_street: Path, tmp_path: Path) ->
     chain = tmp_path / "chain.yaml"
     chain.write_text(yaml_block("own-data.md", "# chain.yaml"))
     rig = ovmot.open(docs_street, calibration=chain).rig
-    assert rig.cameras[0].image_size == (320, 200)
+    assert (rig.cameras[0].width, rig.cameras[0].height) == (320, 200)
     baseline = rig.T_imu_cam1[:3, 3] - rig.T_imu_cam0[:3, 3]
     assert baseline == pytest.approx([0.0, -0.5, 0.0], abs=1e-9)
 
