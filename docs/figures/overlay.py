@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import numpy as np
 from PIL import Image
 
 import ovmot
@@ -42,11 +43,22 @@ def fitted(image: Image.Image, width: int) -> Image.Image:
     return image.resize((width, height), Image.Resampling.LANCZOS)
 
 
+def palette_of(frames: list[Image.Image]) -> Image.Image:
+    """A palette of 40 greys, as the camera's, and of the 56 colours that most is drawn with."""
+    pixels = np.concatenate([np.asarray(frame).reshape(-1, 3) for frame in frames[::4]])
+    coloured = pixels[np.ptp(pixels.astype(int), axis=1) > 60]
+    greys = np.repeat(np.linspace(0, 255, 40).astype(np.uint8), 3)
+    colours = Image.fromarray(coloured[None]).quantize(56).getpalette() if len(coloured) else []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*greys.tolist(), *(colours or [])])
+    return palette
+
+
 def write_gif(frames: list[Image.Image], path: Path, frame_ms: int = 100) -> Path:
     """Write frames of `frame_ms` as a GIF that repeats, as large as the limit allows."""
     for width, step in SIZES:
         small = [fitted(frame, width) for frame in frames[::step]]
-        palette = small[len(small) // 2].quantize(96)
+        palette = palette_of(small)
         drawn = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in small]
         drawn[0].save(
             path, save_all=True, append_images=drawn[1:], duration=frame_ms * step, loop=0,
