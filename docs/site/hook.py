@@ -17,6 +17,11 @@ from site_map import ROOT, ROOT_PAGES, home_of, relink
 
 _DECISIONS = "adr/*"
 
+_SHIM_ADDRESS = "https://unpkg.com/iframe-worker/shim"
+_SHIM = Path(__file__).parent / "iframe-worker"
+"""The theme's search needs this script in pages that are opened from a folder (version 1.0.4, MIT),
+and would have it fetched."""
+
 
 def on_config(config: Any) -> Any:
     """The navigation names the decision records by a pattern."""
@@ -43,7 +48,21 @@ def on_files(files: Files, *, config: Any) -> Files:
         if (ROOT / file).is_file():  # else the link stays, and MkDocs says that it is broken
             text = source_page(ROOT, file)
             files.append(File.generated(config, f"source/{file}.md", content=text))
+    for name in ("shim.js", "LICENSE"):
+        path = str(_SHIM / name)
+        files.append(File.generated(config, f"assets/iframe-worker/{name}", abs_src_path=path))
     return files
+
+
+def on_post_page(output: str, *, page: Any, **_: Any) -> str:
+    """The built page with the script for its search from the site itself."""
+    up = "../" * page.url.count("/")
+    return output.replace(_SHIM_ADDRESS, f"{up}assets/iframe-worker/shim.js")
+
+
+def on_post_template(output: str, **_: Any) -> str:
+    """The same of pages that are none of the docs' (404.html)."""
+    return output.replace(_SHIM_ADDRESS, "/assets/iframe-worker/shim.js")
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:

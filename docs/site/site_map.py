@@ -17,6 +17,9 @@ ROOT_PAGES = {
 """Files outside `docs/` that are pages of the site too; the README stands apart, and links to it
 lead to the site's first page."""
 
+CODE_PAGES = {"src/ovmot/settings.py": "settings.md", "src/ovmot/__init__.py": "api.md"}
+"""Files of the code whose page is made from what they declare."""
+
 _LINK = re.compile(r"\]\(([^)\s#]+)(#[^)\s]*)?\)")
 _FOLDER_LINK = re.compile(r"\[([^\]]+)\]\(([^)\s#]+)\)")
 
@@ -34,8 +37,8 @@ def site_path(repository_path: str) -> str:
 
     Files outside `docs/` that are no page of their own get one that shows their text.
     """
-    if repository_path in ROOT_PAGES:
-        return ROOT_PAGES[repository_path]
+    if page := (ROOT_PAGES | CODE_PAGES).get(repository_path):
+        return page
     if repository_path.startswith("docs/"):
         return repository_path.removeprefix("docs/")
     return f"source/{repository_path}.md"

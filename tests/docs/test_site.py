@@ -48,6 +48,7 @@ def test_links_follow_the_pages() -> None:
     assert wanted == ["examples/demo.py"]
     assert relink("[a](docs/adr/001-x.md)", "changelog.md") == "[a](adr/001-x.md)"
     assert relink("[a](../house.md)", "adr/001-x.md") == "[a](../house.md)"
+    assert site_path("src/ovmot/settings.py") == "settings.md"
     assert site_path("examples/from_data_to_plots.ipynb") == "notebook.md"
 
 
