@@ -76,7 +76,8 @@ def _dark(folder: Path, given: dict[str, Any]) -> Path:
         for label, colour in (("static", BLUE), ("unknown", GREY), ("dynamic", RED)):
             rows = now[now["label"] == label]
             axes.plot(rows["u"], rows["v"], ".", ms=2.5, color=colour)
-        axes.set_title(f"{scene}: {len(now)} features", fontsize=9)
+        known = int(np.count_nonzero(now["label"] != "unknown"))
+        axes.set_title(f"{scene}: {known} of {len(now)} features are judged", fontsize=9)
         axes.set_axis_off()
     return save(made, "limits_dark", folder, "jpg")
 

@@ -54,7 +54,8 @@ def _depth(folder: Path) -> Path:
     made, axes = figure(6.5, 3.0)
     depth = np.geomspace(1.0, 60.0, 100)
     for (name, (baseline, focal)), colour in zip(RIGS.items(), COLOURS, strict=False):
-        axes.loglog(depth, depth_sigma(depth, baseline, focal), color=colour, label=name)
+        style = ":" if name.startswith("KITTI") else "-"  # it lies on KAIST's
+        axes.loglog(depth, depth_sigma(depth, baseline, focal), style, color=colour, label=name)
     axes.axhline(1.9, color="k", lw=0.8, ls=":")
     axes.text(1.05, 2.1, "width of a car", fontsize=8)
     axes.set(xlabel="distance (m)", ylabel="depth, 1 sigma (m)", ylim=(1e-3, 50.0))
