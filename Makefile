@@ -5,6 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 REFERENCE_STAMP := $(VENV)/.installed-reference
+DOCS_STAMP := $(VENV)/.installed-docs
 PYTEST_FLAGS ?= -n auto --dist loadgroup
 # arguments of `make bench`
 BENCH ?=
@@ -28,7 +29,7 @@ COMPILE := --quiet --generate-hashes --strip-extras --allow-unsafe --no-emit-opt
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-reference install-ros demo test test-portable test-ros check bench lock clean
+.PHONY: help install install-reference install-docs install-ros demo docs figures test test-portable test-ros check bench lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -55,6 +56,13 @@ $(REFERENCE_STAMP): $(STAMP) requirements-reference.lock requirements-trackeval.
 	@$(PIP_INSTALL) --require-hashes --no-deps -r requirements-trackeval.lock
 	@touch $@
 
+install-docs: $(DOCS_STAMP) ## add what the site and the notebook are made with, and their tests need
+
+$(DOCS_STAMP): $(STAMP) requirements-docs.lock
+	@echo "installing MkDocs and Jupyter's kernel into $(VENV)"
+	@$(PIP_INSTALL) --require-hashes -r requirements-docs.lock
+	@touch $@
+
 install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its own
 	@test "$$($(BIN)/python -c '$(MINOR)')" = "$$($(DEBIAN_PYTHON) -c '$(MINOR)')" || { \
 		echo "ROS 1 is for Debian's own Python, and .venv has another: make clean, then make install-ros PYTHON=$(DEBIAN_PYTHON)" >&2; exit 1; }
@@ -64,6 +72,13 @@ install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its ow
 
 demo: install ## simulate a small street, run ovmot on it, say where the results are
 	$(BIN)/python examples/demo.py
+
+docs: install-docs ## build the site into build/site, offline; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "build/site/index.html"
+
+figures: install ## make the docs' figures anew: simulates and runs, some minutes
+	$(BIN)/python docs/figures/all.py
 
 test: install ## run the tests
 	$(BIN)/python -m pytest $(PYTEST_FLAGS)
@@ -91,7 +106,9 @@ lock: ## bring the lock files in line with pyproject.toml (UPGRADE=--upgrade: ne
 	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) \
 		--extra dev -o requirements.lock pyproject.toml && \
 	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) -c requirements.lock \
-		--extra reference -o requirements-reference.lock pyproject.toml
+		--extra reference -o requirements-reference.lock pyproject.toml && \
+	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) -c requirements.lock \
+		--extra docs -o requirements-docs.lock pyproject.toml
 
 clean: ## remove the virtual environment and every cache
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
