@@ -7,6 +7,7 @@ import numpy as np
 
 from ovmot.frontend.corners import fine_cell_px, new_corners
 from ovmot.frontend.epipolar import two_view_inliers
+from ovmot.frontend.feature_kernel import keep_found_compiled
 from ovmot.frontend.feature_search import (
     Sought,
     find_features,
@@ -15,13 +16,9 @@ from ovmot.frontend.feature_search import (
     only_fitting,
     recover_lost,
 )
-from ovmot.frontend.patches import PatchStore, is_rescaled
-from ovmot.frontend.prediction import (
-    at_depths_nearby,
-    flow_nearby,
-    predict_pixels,
-    unexplained_flow,
-)
+from ovmot.frontend.patches import PatchStore
+from ovmot.frontend.prediction import predict_tracks, unexplained_flow
+from ovmot.frontend.prediction_kernel import flow_nearby_compiled
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.geometry.id_sets import contained
@@ -30,6 +27,8 @@ from ovmot.settings import TrackerSettings
 _NEW = 2
 """Track length below which nothing is known of a point's own motion: the flow of two intervals
 tells a motion from a mismatch."""
+_MAX_SCALE = 1.7
+"""A patch that is seen larger or smaller by more is cut anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,11 +115,9 @@ class KltTracker:
         if self._pyramid is None:
             return last
         # predict: by the camera's motion, the point's own, or its flow beyond that of the last time
-        p_near = at_depths_nearby(last.uv, last.xy, p_before)
-        static_uv, _ = predict_pixels(last.xy, p_near, T_now_before, camera)
-        start, depth = predict_pixels(last.xy, p_predicted, T_now_before, camera)
-        moves = np.isfinite(p_predicted[:, 0]) & (p_predicted != p_before).any(axis=1)
-        start = np.where(moves[:, None], start, static_uv + last.extra_flow)
+        static_uv, start, depth, moves = predict_tracks(
+            last.uv, last.xy, p_before, p_predicted, last.extra_flow, T_now_before, camera
+        )
         # search there, and in other places for what is lost
         sought = Sought(self._pyramid, last.uv, self.patches, last.slot)
         first = find_features(sought, view, start, near_levels(self._settings), self._helper)
@@ -129,7 +126,7 @@ class KltTracker:
         self.patches.is_new[:] = False
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
-        nearby = flow_nearby(last.uv, static_uv, first.uv, first.found, half_px)
+        nearby = flow_nearby_compiled(last.uv, static_uv, first.uv, first.found, half_px)
         # not again where the first search began
         elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
         unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])
@@ -140,11 +137,13 @@ class KltTracker:
         far = static_uv if wrong else np.full_like(static_uv, np.nan)
         now = recover_lost(sought, view, first, starts, far, self._settings, self._helper)
         xy = camera.normalize(now.uv)
-        rows = np.flatnonzero(now.found & view.contains(now.uv) & np.isfinite(xy[:, 0]))
+        rows, stale = keep_found_compiled(
+            now.uv, xy, now.warp, now.found, now.fits, view.compact_mask,
+            camera.width, camera.height, view.pyramid.window // 2, _MAX_SCALE,
+        )  # fmt: skip
         uv, xy, slot = now.uv[rows], xy[rows], last.slot[rows]
         # patches that do not fit any more, or are seen at another scale, are cut anew
         self.patches.warp[slot] = now.warp[rows]
-        stale = ~now.fits[rows] | is_rescaled(now.warp[rows])
         self.patches.renew(view.words, uv[stale], slot[stale])
         # two-view test
         threshold = self._settings.two_view_threshold_px / camera.fx

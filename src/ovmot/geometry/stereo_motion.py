@@ -19,6 +19,8 @@ MIN_POINTS = 8
 _INLIER_PROBABILITY = 0.99
 _HUBER = 2.0  # standard deviations, from which on residuals count linearly
 _ITERATIONS = 8
+_SETTLED = 1e-6
+"""Squared Mahalanobis length of the last step: a thousandth of a standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +132,7 @@ def _refine(
         solved = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
         step = np.asarray(solved, np.float64)
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
-        if np.abs(step).max() < 1e-8:
+        if step @ information @ step < _SETTLED:
             break
     return T
 
@@ -166,6 +168,6 @@ def _refine_with_points(
         step = np.asarray(np.linalg.solve(information, gradient), np.float64)
         point = point + c - B @ step
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
-        if np.abs(step).max() < 1e-8:
+        if step @ information @ step < _SETTLED:
             break
     return T, information, inlier
