@@ -140,6 +140,8 @@ def helping_thread(threads: int) -> Executor:
 def do_together(jobs: Sequence[Callable[[], _T]], helper: Executor) -> list[_T]:
     """The results of jobs, in order, done by this thread and by the helper: each takes the next one
     when it is free, so that a helper that gets no processor holds nothing up."""
+    if len(jobs) == 1:
+        return [jobs[0]()]
     results: dict[int, _T] = {}
     todo = deque(range(len(jobs)))
 

@@ -40,10 +40,13 @@ def by_flow_alone(
     never = 2.0
     store = PatchStore()
     slot = store.add(patch_image(source), points)
-    uv, _, state = find_features_compiled(
+    n = len(points)
+    uv, warp, state = start.copy(), store.warp[slot], np.zeros(n, dtype=np.uint8)
+    find_features_compiled(
         build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels,
-        patch_image(target), WINDOW, store.grey, store.steepest, store.inverse, slot,
-        points, start, store.warp[slot], np.full(len(points), n_levels), never, never, 8, 0.02,
+        patch_image(target), WINDOW, store.grey, store.steepest, store.inverse, slot, store.warp,
+        points, np.arange(n), start[None], np.full((1, n), n_levels), False,
+        never, never, 8, 0.02, uv, warp, state,
     )  # fmt: skip
     return uv, state != LOST
 

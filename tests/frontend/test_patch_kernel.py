@@ -69,10 +69,12 @@ def test_the_compiled_alignment_agrees_with_the_twin() -> None:
     slot = store.add(source, points)
     expected = twin(smooth(target_image), store, slot, start)
     levels, no_flow = build_pyramid(target_image, SETTINGS).levels, 0
-    uv, warp, state = find_features_compiled(
+    n = len(points)
+    uv, warp, state = start.copy(), store.warp[slot], np.zeros(n, dtype=np.uint8)
+    find_features_compiled(
         levels, levels, target, SETTINGS.klt_window_px, store.grey, store.steepest, store.inverse,
-        slot, points, start, store.warp[slot], np.full(len(points), no_flow),
-        MIN_CORRELATION, MIN_CORRELATION, STEPS, SMALL,
+        slot, store.warp, points, np.arange(n), start[None], np.full((1, n), no_flow), False,
+        MIN_CORRELATION, MIN_CORRELATION, STEPS, SMALL, uv, warp, state,
     )  # fmt: skip
     fits = state == ALIGNED
     clear = np.abs(expected[2] - MIN_CORRELATION) > 1e-3

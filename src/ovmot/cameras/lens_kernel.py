@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from ovmot.cameras.camera import Camera
 from ovmot.cameras.models.radtan_kernel import distort as distort_radtan
 from ovmot.cameras.models.radtan_kernel import distort_by as distort_radtan_by
 from ovmot.cameras.models.radtan_kernel import distort_jacobian as distort_radtan_jacobian
@@ -94,7 +95,7 @@ def distort_jacobian(lens: int, d: FloatArray, x: float, y: float) -> Four:
 
 @part
 def to_pixel(lens: int, camera: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """Pixel of undistorted normalized coordinates; `camera` (12,): see `packed_cameras`."""
+    """Pixel of undistorted normalized coordinates; `camera` (12,): see `packed_camera`."""
     x, y = distort(lens, camera[5:10], x, y)
     return camera[0] * x + camera[4] * y + camera[2], camera[1] * y + camera[3]
 
@@ -107,15 +108,19 @@ def pixel_jacobian(lens: int, camera: FloatArray, x: float, y: float) -> Four:
     return fx * a + skew * c, fx * b + skew * d, fy * c, fy * d
 
 
-def packed_cameras(rig: StereoRig) -> tuple[IntArray, FloatArray]:
-    """Codes of the lenses (2,), and both cameras (2, 12): intrinsics (5), distortion (5), size (2).
+def packed_camera(camera: Camera) -> tuple[int, FloatArray]:
+    """Code of its lens, and a camera (12,): intrinsics (5), distortion (5), size (2).
 
     Raises `ValueError` for a camera model without compiled code.
     """
-    lens, packed = np.empty(2, dtype=np.int64), np.zeros((2, 12))
-    for side, camera in enumerate(rig.cameras):
-        lens[side] = LENSES.index(camera.model.name)
-        packed[side, :5] = camera.intrinsics
-        packed[side, 5 : 5 + len(camera.distortion)] = camera.distortion
-        packed[side, 10:] = camera.width, camera.height
-    return lens, packed
+    packed = np.zeros(12)
+    packed[:5] = camera.intrinsics
+    packed[5 : 5 + len(camera.distortion)] = camera.distortion
+    packed[10:] = camera.width, camera.height
+    return LENSES.index(camera.model.name), packed
+
+
+def packed_cameras(rig: StereoRig) -> tuple[IntArray, FloatArray]:
+    """Codes of the lenses (2,), and both cameras (2, 12): see `packed_camera`."""
+    lens, packed = zip(*(packed_camera(camera) for camera in rig.cameras), strict=True)
+    return np.array(lens, dtype=np.int64), np.stack(packed)

@@ -10,9 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.frontend.klt_kernel import LANES, MAX_ROUND_TRIP_PX, flow_there_and_back
-from ovmot.frontend.patch_kernel import MARGIN, SIDE, Quads, align_patch, cut_patch, make_room
+from ovmot.frontend.patch_kernel import (
+    MARGIN,
+    SIDE,
+    Quads,
+    Room,
+    align_patch,
+    cut_patch,
+    make_room,
+)
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
-from ovmot.kernels.cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled, part
 
 LOST, TRACKED, ALIGNED = 0, 1, 2
 """How a feature was found: not at all, by optical flow alone, by its first patch."""
@@ -21,71 +29,96 @@ _Float32 = npt.NDArray[np.float32]
 _States = npt.NDArray[np.uint8]
 
 
+@part
+def _find_one(
+    source: tuple[Image, ...], target: tuple[Image, ...], words: Quads, side: int,
+    grey: _Float32, steepest: _Float32, inverse: _Float32, points: FloatArray, n_levels: int,
+    min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
+    room: _Float32, patch_room: Room, uv: FloatArray, warp: FloatArray,
+) -> int:  # fmt: skip
+    """Move `uv` (2,) and `warp` (2, 2), in place, to where a feature is; its state.
+
+    `points` (2,): where it is in the source. See `find_features`.
+    """
+    height, width = words.shape[0] - 2 * MARGIN, words.shape[1] - 2 * MARGIN
+    u0, v0, begin_u, begin_v = points[0], points[1], uv[0], uv[1]
+    w00, w01, w10, w11 = warp[0, 0], warp[0, 1], warp[1, 0], warp[1, 1]
+    if not (0.0 <= begin_u < width and 0.0 <= begin_v < height):
+        return LOST
+    # by the patch alone, where that is sure
+    correlation = align_patch(
+        words, grey, steepest, inverse, uv, warp, patch_room, max_steps, small_step_px
+    )
+    if correlation > sure_correlation:
+        return ALIGNED
+    # by the patch, where flow from there stays there
+    if correlation > min_correlation:
+        u, v, ok = flow_there_and_back(source, target, 1, side, room, u0, v0, uv[0], uv[1])
+        if ok and math.hypot(u - uv[0], v - uv[1]) < MAX_ROUND_TRIP_PX:
+            return ALIGNED
+    if n_levels == 0:
+        return LOST
+    # by flow, and by the patch from where that leads
+    u, v, ok = flow_there_and_back(source, target, n_levels, side, room, u0, v0, begin_u, begin_v)
+    uv[0], uv[1] = u, v
+    warp[0, 0], warp[0, 1], warp[1, 0], warp[1, 1] = w00, w01, w10, w11
+    if not ok:
+        return LOST
+    correlation = align_patch(
+        words, grey, steepest, inverse, uv, warp, patch_room, max_steps, small_step_px
+    )
+    if correlation > min_correlation:
+        return ALIGNED
+    uv[0], uv[1] = u, v
+    warp[0, 0], warp[0, 1], warp[1, 0], warp[1, 1] = w00, w01, w10, w11
+    return TRACKED
+
+
 def find_features(
     source: tuple[Image, ...], target: tuple[Image, ...], words: Quads, side: int,
-    grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray,
-    points: FloatArray, start: FloatArray, start_warp: FloatArray, n_levels: IntArray,
+    grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray, start_warp: FloatArray,
+    points: FloatArray, row: IntArray, starts: FloatArray, n_levels: IntArray, must_fit: bool,
     min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
-) -> tuple[FloatArray, FloatArray, _States]:  # fmt: skip
-    """Where features are in another image: pixels (N, 2), warps (N, 2, 2), states (N,).
+    uv: FloatArray, warp: FloatArray, state: _States,
+) -> None:  # fmt: skip
+    """Find the features `row` (M,) of N in another image: fill pixels `uv` (N, 2), `warp`
+    (N, 2, 2), `state` (N,).
 
-    First the patch is aligned from `start` (N, 2), the predicted place, and `start_warp`: that is
-    the answer beyond `sure_correlation`, and beyond `min_correlation` where optical flow agrees.
-    Else flow leads from `start` to where it is aligned again; where it does not fit, the flow's
-    answer stays, with the warp it started from. Nothing is sought outside the image.
+    First the patch is aligned from the start, the predicted place: that is the answer beyond
+    `sure_correlation`, and beyond `min_correlation` where optical flow agrees. Else flow leads from
+    the start to where it is aligned again; where it does not fit, the flow's answer stays, with the
+    warp it started from. Nothing is sought outside the image.
+
+    `starts` (H, N, 2) are tried in order until one is `ALIGNED`, or `TRACKED` if not `must_fit`;
+    those that are NaN are left out, and nothing is filled where none succeeds. `n_levels` (H, N) of
+    the pyramids are searched; with none, the patch alone is.
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
     holds `points` (N, 2) and of the one searched; `words`: the latter by
-    `preprocessing.patch_image`. `grey`
-    (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): patches, of feature n that at
-    `slot[n]`. `n_levels` (N,) of the pyramids are searched; with none, the patch alone is.
+    `preprocessing.patch_image`. `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6),
+    `start_warp` (S, 2, 2): patches, of feature n that at `slot[n]`.
     """
-    n_points = len(points)
-    uv, warp = start.copy(), start_warp.copy()
-    state = np.zeros(n_points, dtype=np.uint8)
     room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
     patch_room = make_room()
-    height, width = words.shape[0] - 2 * MARGIN, words.shape[1] - 2 * MARGIN
-    for n in range(n_points):
-        if not (math.isfinite(start[n, 0]) and math.isfinite(start[n, 1])):
-            uv[n, 0], uv[n, 1] = points[n, 0], points[n, 1]
-        u0, v0, begin_u, begin_v = points[n, 0], points[n, 1], uv[n, 0], uv[n, 1]
-        if not (0.0 <= begin_u < width and 0.0 <= begin_v < height):
-            continue
+    at_uv, at_warp = np.empty(2), np.empty((2, 2))
+    for n in row:
         at = slot[n]
-        # by the patch alone, where that is sure
-        correlation = align_patch(
-            words, grey[at], steepest[at], inverse[at], uv[n], warp[n], patch_room,
-            max_steps, small_step_px,
-        )  # fmt: skip
-        if correlation > sure_correlation:
-            state[n] = ALIGNED
-            continue
-        # by the patch, where flow from there stays there
-        if correlation > min_correlation:
-            u, v, ok = flow_there_and_back(
-                source, target, 1, side, room, u0, v0, uv[n, 0], uv[n, 1]
-            )
-            if ok and math.hypot(u - uv[n, 0], v - uv[n, 1]) < MAX_ROUND_TRIP_PX:
-                state[n] = ALIGNED
+        for h in range(len(starts)):
+            if not (math.isfinite(starts[h, n, 0]) and math.isfinite(starts[h, n, 1])):
                 continue
-        if n_levels[n] == 0:
-            continue
-        # by flow, and by the patch from where that leads
-        u, v, ok = flow_there_and_back(
-            source, target, n_levels[n], side, room, u0, v0, begin_u, begin_v
-        )
-        uv[n, 0], uv[n, 1], warp[n] = u, v, start_warp[n]
-        if not ok:
-            continue
-        correlation = align_patch(
-            words, grey[at], steepest[at], inverse[at], uv[n], warp[n], patch_room,
-            max_steps, small_step_px,
-        )  # fmt: skip
-        state[n] = ALIGNED
-        if not correlation > min_correlation:
-            uv[n, 0], uv[n, 1], warp[n], state[n] = u, v, start_warp[n], TRACKED
-    return uv, warp, state
+            at_uv[0], at_uv[1] = starts[h, n, 0], starts[h, n, 1]
+            at_warp[0, 0], at_warp[0, 1] = start_warp[at, 0, 0], start_warp[at, 0, 1]
+            at_warp[1, 0], at_warp[1, 1] = start_warp[at, 1, 0], start_warp[at, 1, 1]
+            how = _find_one(
+                source, target, words, side, grey[at], steepest[at], inverse[at], points[n],
+                n_levels[h, n], min_correlation, sure_correlation, max_steps, small_step_px,
+                room, patch_room, at_uv, at_warp,
+            )  # fmt: skip
+            if how == ALIGNED or (how == TRACKED and not must_fit):
+                uv[n, 0], uv[n, 1], state[n] = at_uv[0], at_uv[1], how
+                warp[n, 0, 0], warp[n, 0, 1] = at_warp[0, 0], at_warp[0, 1]
+                warp[n, 1, 0], warp[n, 1, 1] = at_warp[1, 0], at_warp[1, 1]
+                break
 
 
 def cut_patches(

@@ -3,15 +3,17 @@
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from ovmot.frontend.feature_kernel import ALIGNED, LOST, find_features_compiled
 from ovmot.frontend.klt_kernel import margin_of
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import Pyramid, View
-from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 
@@ -53,7 +55,12 @@ def find_features(
     `n_levels` of the pyramid (of all, or (N,)), there and back, leads to where it is aligned again;
     with none it is lost. The `helper` takes a part of the features; each is sought by itself.
     """
-    return _find(sought, view, start, np.arange(len(start)), n_levels, helper)
+    starts = np.where(np.isfinite(start), start, sought.uv)[None]
+    levels = np.full(len(start), n_levels, dtype=np.int64)[None]
+    found = _Filled(sought.uv.copy(), sought.store.warp[sought.slot], _all_lost(len(start)))
+    every = np.arange(len(start))
+    _find(sought, view, every, starts, levels, found, helper, must_fit=False)
+    return Found(found.uv, found.warp, found.state != LOST, found.state == ALIGNED)
 
 
 def near_levels(settings: TrackerSettings) -> int:
@@ -79,18 +86,17 @@ def recover_lost(
     The starts come in order of trust, NaN for none; around the last positions the whole pyramid is
     searched. A repeated search finds something wherever it looks, so that the first patch must fit.
     """
-    uv, warp = first.uv.copy(), first.warp.copy()
-    found, fits = first.found.copy(), first.fits.copy()
-    levels = [near_levels(settings)] * len(starts) + [settings.klt_levels]
-    for start, n_levels in zip((*starts, around), levels, strict=True):
-        lost = np.flatnonzero(~found & np.isfinite(start).all(axis=1))
-        if not len(lost):
-            continue
-        again = _find(sought, view, start[lost], lost, n_levels, helper)
-        rows = lost[again.fits]
-        uv[rows], warp[rows] = again.uv[again.fits], again.warp[again.fits]
-        found[rows] = fits[rows] = True
-    return Found(uv, warp, found, fits)
+    lost = np.flatnonzero(~first.found)
+    if not len(lost):
+        return first
+    near, whole = near_levels(settings), settings.klt_levels
+    levels = np.full((len(starts) + 1, len(first.uv)), near, dtype=np.int64)
+    levels[-1] = whole
+    places = np.concatenate([starts, around[None]])
+    again = _Filled(first.uv.copy(), first.warp.copy(), _all_lost(len(first.uv)))
+    _find(sought, view, lost, places, levels, again, helper, must_fit=True)
+    fits = again.state == ALIGNED
+    return Found(again.uv, again.warp, first.found | fits, first.fits | fits)
 
 
 def only_fitting(now: Found, required: BoolArray) -> Found:
@@ -128,37 +134,46 @@ def match_templates(
     return found
 
 
+class _Filled(NamedTuple):
+    """What a search fills: pixels (N, 2), warps (N, 2, 2), states (N,)."""
+
+    uv: FloatArray
+    warp: FloatArray
+    state: npt.NDArray[np.uint8]
+
+
+def _all_lost(n: int) -> npt.NDArray[np.uint8]:
+    return np.full(n, LOST, dtype=np.uint8)
+
+
 def _find(
     sought: Sought,
     view: View,
-    start: FloatArray,
     row: IntArray,
-    n_levels: int | IntArray,
+    starts: FloatArray,
+    n_levels: IntArray,
+    found: _Filled,
     helper: Executor,
     *,
-    portion: int = 64,
+    must_fit: bool,
+    portion: int = 128,
     max_steps: int = 12,
     small_step_px: float = 0.005,
-) -> Found:
-    """Features `row` (M,) from `start` (M, 2), in portions that two threads share.
+) -> None:
+    """Features `row` (M,) from their `starts` (H, N, 2), in portions that two threads share.
 
     An alignment takes at most `max_steps`, and is done at one below `small_step_px`: what stops
     earlier stays nearer to the prediction, and an error that agrees with the filter does not
     average out.
     """
-    store, slot, points = sought.store, sought.slot[row], sought.uv[row]
-    start_warp, levels = store.warp[slot], np.full(len(row), n_levels, dtype=np.int64)
-    np.minimum(levels, len(view.pyramid.levels), out=levels)
+    store, levels = sought.store, np.minimum(n_levels, len(view.pyramid.levels))
 
-    def search(part: slice) -> tuple[AnyArray, ...]:
-        return find_features_compiled(
+    def search(first: int) -> None:
+        find_features_compiled(
             sought.pyramid.levels, view.pyramid.levels, view.words, view.pyramid.window,
-            store.grey, store.steepest, store.inverse, slot[part],
-            points[part], start[part], start_warp[part], levels[part],
-            MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px,
+            store.grey, store.steepest, store.inverse, sought.slot, store.warp, sought.uv,
+            row[first : first + portion], starts, levels, must_fit,
+            MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px, *found,
         )  # fmt: skip
 
-    parts = [slice(first, first + portion) for first in range(0, max(len(row), 1), portion)]
-    found = do_together([partial(search, part) for part in parts], helper)
-    uv, warp, state = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
-    return Found(uv, warp, state != LOST, state == ALIGNED)
+    do_together([partial(search, first) for first in range(0, len(row), portion)], helper)

@@ -16,12 +16,8 @@ from ovmot.frontend.feature_search import (
     recover_lost,
 )
 from ovmot.frontend.patches import PatchStore, is_rescaled
-from ovmot.frontend.prediction import (
-    at_depths_nearby,
-    flow_nearby,
-    predict_pixels,
-    unexplained_flow,
-)
+from ovmot.frontend.prediction import predict_tracks, unexplained_flow
+from ovmot.frontend.prediction_kernel import flow_nearby_compiled
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.geometry.id_sets import contained
@@ -116,11 +112,9 @@ class KltTracker:
         if self._pyramid is None:
             return last
         # predict: by the camera's motion, the point's own, or its flow beyond that of the last time
-        p_near = at_depths_nearby(last.uv, last.xy, p_before)
-        static_uv, _ = predict_pixels(last.xy, p_near, T_now_before, camera)
-        start, depth = predict_pixels(last.xy, p_predicted, T_now_before, camera)
-        moves = np.isfinite(p_predicted[:, 0]) & (p_predicted != p_before).any(axis=1)
-        start = np.where(moves[:, None], start, static_uv + last.extra_flow)
+        static_uv, start, depth, moves = predict_tracks(
+            last.uv, last.xy, p_before, p_predicted, last.extra_flow, T_now_before, camera
+        )
         # search there, and in other places for what is lost
         sought = Sought(self._pyramid, last.uv, self.patches, last.slot)
         first = find_features(sought, view, start, near_levels(self._settings), self._helper)
@@ -129,7 +123,7 @@ class KltTracker:
         self.patches.is_new[:] = False
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
-        nearby = flow_nearby(last.uv, static_uv, first.uv, first.found, half_px)
+        nearby = flow_nearby_compiled(last.uv, static_uv, first.uv, first.found, half_px)
         # not again where the first search began
         elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
         unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])

@@ -1,29 +1,50 @@
 """Predicted positions of features in the image: where optical flow starts."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ovmot.cameras.camera import Camera
+from ovmot.cameras.lens_kernel import packed_camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians_compiled
+from ovmot.frontend.prediction_kernel import predict_matches_compiled, predict_tracks_compiled
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 
-def predict_pixels(
-    xy_before: FloatArray, p_before: FloatArray, T_now_before: FloatArray, camera: Camera
-) -> tuple[FloatArray, FloatArray]:
-    """Pixels (N, 2) now of static points, and their depth (N,) in metres, NaN where unknown.
+class Predicted(NamedTuple):
+    """Where N features will be seen: pixels (N, 2) if they are at rest, and where to search first;
+    depths (N,), metres, NaN where unknown; which of them move on their own (N,)."""
 
-    `xy_before` (N, 2): normalized coordinates; `p_before` (N, 3): positions in the camera's frame
-    of before, metres. A point without one is taken as infinitely far, so that the rotation alone
-    moves it. NaN for pixels outside the camera model.
+    static_uv: FloatArray
+    start: FloatArray
+    depth: FloatArray
+    moves: BoolArray
+
+
+def predict_tracks(
+    uv: FloatArray,
+    xy: FloatArray,
+    p_before: FloatArray,
+    p_predicted: FloatArray,
+    extra_flow: FloatArray,
+    T_now_before: FloatArray,
+    camera: Camera,
+) -> Predicted:
+    """Features with pixels `uv` and normalized coordinates `xy` (N, 2) in the next image.
+
+    `p_before`, `p_predicted` (N, 3): positions in the camera's frame of before, metres, NaN where
+    unknown, then and now; where they differ, the feature moves on its own. One that does not is
+    sought `extra_flow` (N, 2) pixels beyond where it would be at rest. Without a position it is
+    taken at the depth of those around it, else as infinitely far, so that the rotation alone moves
+    it. NaN for pixels outside the camera model.
     """
-    ray = np.concatenate([xy_before, np.ones((len(xy_before), 1))], axis=1)
-    far = ray @ T_now_before[:3, :3].T
-    near = se3.apply(T_now_before, p_before)
-    usable = np.isfinite(near[:, 2]) & (near[:, 2] > 0.2)
-    point = np.where(usable[:, None], near, far)
-    return camera.project(point), np.where(usable, near[:, 2], np.nan)
+    return Predicted(
+        *predict_tracks_compiled(
+            uv, xy, p_before, p_predicted, extra_flow,
+            np.ascontiguousarray(T_now_before), *packed_camera(camera),
+        )
+    )  # fmt: skip
 
 
 def unexplained_flow(
@@ -40,57 +61,18 @@ def unexplained_flow(
     return np.where(predicted[:, None], extra, 0.0)
 
 
-def flow_nearby(
-    uv: FloatArray, static_uv: FloatArray, found: FloatArray, ok: BoolArray, least_px: float
+def predict_right(
+    uv_left: FloatArray, xy_left: FloatArray, depth: FloatArray, default: float, rig: StereoRig
 ) -> FloatArray:
-    """Where lost points would be, had they moved as the movers around them: (N, 2), else NaN.
+    """Right pixels (N, 2) of left pixels and normalized coordinates (N, 2) at depths (N,), metres.
 
-    `found` (N, 2) of the points `uv` (N, 2) that are `ok` (N,), against `static_uv` (N, 2), all in
-    pixels. Movers are those that are more than `least_px` from where they would be if static.
+    An unknown depth is the median of those of the nearest pixels, `default` where too few are
+    known.
     """
-    start = np.full(uv.shape, np.nan)
-    extra = found - static_uv
-    with np.errstate(invalid="ignore"):
-        moves = np.flatnonzero(ok & (np.linalg.norm(extra, axis=1) > least_px))
-    lost = np.flatnonzero(~ok)
-    if len(moves) < NEAREST or len(lost) == 0:
-        return start
-    start[lost] = static_uv[lost] + nearest_medians_compiled(uv[moves], extra[moves], uv[lost])
+    start: FloatArray = predict_matches_compiled(
+        uv_left, xy_left, depth, default, rig.T_cam1_cam0, *packed_camera(rig.cam1)
+    )
     return start
-
-
-def fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> FloatArray:
-    """Depths (N,), metres, with unknown ones taken from the median of the nearest known pixels.
-
-    `default` where too few are known.
-    """
-    known = np.flatnonzero(np.isfinite(depth))
-    unknown = np.flatnonzero(~np.isfinite(depth))
-    if len(unknown) == 0:
-        return depth
-    out = depth.copy()
-    if len(known) < NEAREST:
-        out[unknown] = default
-        return out
-    medians = nearest_medians_compiled(uv[known], depth[known, None], uv[unknown])
-    out[unknown] = medians[:, 0]
-    return out
-
-
-def at_depths_nearby(uv: FloatArray, xy: FloatArray, p_cam: FloatArray) -> FloatArray:
-    """The points (N, 3), metres, with unknown ones on their rays at the depths around them.
-
-    `uv` (N, 2) pixels, `xy` (N, 2) normalized coordinates. Still NaN where too few are known.
-    """
-    depth = fill_depths(uv, p_cam[:, 2], np.nan)
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    return np.where(np.isfinite(p_cam), p_cam, ray * depth[:, None])
-
-
-def predict_right(xy_left: FloatArray, depth: FloatArray, rig: StereoRig) -> FloatArray:
-    """Right pixels (N, 2) of left normalized coordinates (N, 2) at given depths (N,), metres."""
-    ray = np.concatenate([xy_left, np.ones((len(xy_left), 1))], axis=1)
-    return rig.cam1.project(se3.apply(rig.T_cam1_cam0, ray * depth[:, None]))
 
 
 def motion_of_right(T_now_before: FloatArray, rig: StereoRig) -> FloatArray:

@@ -14,7 +14,7 @@ from ovmot.frontend.feature_search import Sought, find_features, near_levels, re
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
 from ovmot.frontend.pictures import LastPictures, Pictures, judge_pictures
 from ovmot.frontend.positions import carried_positions
-from ovmot.frontend.prediction import fill_depths, median_flow_px, predict_right
+from ovmot.frontend.prediction import median_flow_px, predict_right
 from ovmot.frontend.preprocessing import LEFT, RIGHT, View, preprocess
 from ovmot.frontend.right_alone import RightAlone, seen_by_right
 from ovmot.geometry.arrays import FloatArray
@@ -160,8 +160,7 @@ class StereoTracker:
         # predict the right position by the depth of the point, or of those around it; where none
         # is known, by a disparity of half a fine cell
         default = self._rig.baseline * left.camera.fx / (0.5 * cell_px)
-        depth = fill_depths(points.uv, points.depth, default)
-        start = predict_right(points.xy, depth, self._rig)
+        start = predict_right(points.uv, points.xy, points.depth, default, self._rig)
         # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
         # one that has had no match so far has none by flow: its patch alone is tried again
