@@ -6,7 +6,6 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.frontend.corners import (
     Spread,
-    choose_corners,
     even_spread,
     fast_corners,
     fine_cell_px,
@@ -14,6 +13,7 @@ from ovmot.frontend.corners import (
     focus_mask,
     new_corners,
 )
+from ovmot.frontend.spread_kernel import spread_corners_compiled
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.settings import TrackerSettings
 from ovmot.types import PointLabel, ScenePoints
@@ -39,8 +39,12 @@ def dots() -> Image:
 
 def detect(image: Image, existing: FloatArray, n_wanted: int) -> FloatArray:
     """New corners (M, 2) of an image."""
-    corners = fast_corners(image, 15, BORDER_PX)
-    return choose_corners(corners, existing, n_wanted, SPREAD, image.shape)
+    corners, (height, width) = fast_corners(image, 15, BORDER_PX), image.shape
+    chosen = spread_corners_compiled(
+        corners, existing, n_wanted, SPREAD.distance_px, SPREAD.cell_px, SPREAD.per_cell,
+        width, height,
+    )  # fmt: skip
+    return np.asarray(corners[chosen])
 
 
 def nearest(points: FloatArray, others: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.frontend.image_kernel import count_levels_compiled, scale_levels_compiled
+from ovmot.frontend.image_kernel import grey_range_compiled, scale_levels_compiled
 from ovmot.frontend.patch_kernel import MARGIN
 from ovmot.frontend.preprocessing import patch_image, stretch_linearly
 from ovmot.geometry.arrays import Image
@@ -32,10 +32,13 @@ def test_words_hold_the_smoothed_image_and_its_neighbours(shape: tuple[int, int]
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("step", [1, 4])
-def test_counts_are_those_of_bincount(shape: tuple[int, int], step: int) -> None:
-    image = noise(shape)
-    expected = np.bincount(image[::step, ::step].ravel(), minlength=256)
-    np.testing.assert_array_equal(count_levels_compiled(image, step), expected)
+@pytest.mark.parametrize("percent", [(0.0, 100.0), (2.0, 98.0), (37.3, 50.0)])
+def test_percentiles_of_greys_are_those_of_numpy(
+    shape: tuple[int, int], step: int, percent: tuple[float, float]
+) -> None:
+    for image in (noise(shape), noise(shape) // 100 * 50):  # all levels, and three
+        expected = np.percentile(image[::step, ::step], percent)
+        np.testing.assert_allclose(grey_range_compiled(image, step, *percent), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("low", "gain"), [(0.0, 1.0), (37.5, 1.7), (80.0, 4.0)])

@@ -9,6 +9,7 @@ from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians
 from ovmot.frontend.prediction_kernel import (
     LEAST_DEPTH_M,
     flow_nearby_compiled,
+    median_flow_compiled,
     predict_matches_compiled,
     predict_tracks_compiled,
 )
@@ -112,3 +113,13 @@ def test_lost_points_are_expected_where_their_neighbours_went() -> None:
     assert np.isnan(np.delete(start, 7, axis=0)).all()
     nothing_moves = flow_nearby_compiled(uv, static_uv, now, found, 150.0)
     assert np.isnan(nothing_moves).all()
+
+
+@pytest.mark.parametrize(("n", "known"), [(0, 0.5), (6, 0.5), (81, 0.7)])
+def test_median_flow(n: int, known: float) -> None:
+    _, xy, p = features(n, known)
+    ray = np.concatenate([xy, np.ones((n, 1))], axis=1)
+    now = np.where(np.isfinite(p), se3.apply(T, p), ray @ T[:3, :3].T)
+    way = (now[:, :2] / now[:, 2:] - xy)[now[:, 2] > 0.0]
+    expected = np.median(np.hypot(way[:, 0], way[:, 1])) if n else 0.0
+    np.testing.assert_allclose(median_flow_compiled(xy, p, T), expected, rtol=1e-9)

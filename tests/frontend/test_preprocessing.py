@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ovmot.frontend.klt_kernel import margin_of
-from ovmot.frontend.preprocessing import EQUALIZERS, build_pyramid, grey_percentiles, inside_mask
+from ovmot.frontend.preprocessing import EQUALIZERS, build_pyramid, inside_mask
 from ovmot.geometry.arrays import Image
 from ovmot.settings import TrackerSettings
 
@@ -58,14 +58,6 @@ def test_a_blank_image_is_no_trouble(name: str) -> None:
     out = EQUALIZERS[name](np.full((120, 160), 77, dtype=np.uint8))
     assert out.dtype == np.uint8
     assert np.ptp(out) == 0
-
-
-def test_percentiles_of_greys_are_those_of_numpy(dark: Image) -> None:
-    percent = (0.0, 2.0, 37.3, 98.0, 100.0)
-    for image in (dark, dark[:7, :3], dark[::4, ::4]):
-        expected = np.percentile(image, percent)
-        counts = np.bincount(image.ravel(), minlength=256)
-        np.testing.assert_allclose(grey_percentiles(counts, percent), expected, rtol=1e-12)
 
 
 def test_a_pyramid_stops_at_the_size_of_its_window() -> None:

@@ -6,12 +6,18 @@ import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.frontend.preprocessing import inside_mask
-from ovmot.frontend.spread_kernel import spread_corners_compiled
+from ovmot.frontend.corner_kernel import (
+    find_room_compiled,
+    strongest_first_compiled,
+    take_corners_compiled,
+)
+from ovmot.frontend.preprocessing import for_kernels
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.physics import MAX_VEHICLE_SIZE_M
 from ovmot.settings import TrackerSettings
 from ovmot.types import PointLabel, ScenePoints
+
+_EMPTY: Image = np.empty((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,32 +46,25 @@ def new_corners(
     (height, width) is not zero, or where the window of optical flow would not be in the image. All
     lengths follow from the fine cell, and so scale with the image.
     """
-    shape, cell_px = image.shape, fine_cell_px(image.shape, settings)
-    dense = inside_mask(existing, focus)
-    n_focus = int(dense.sum())
-    n_even = settings.max_features - int((~dense & ~dynamic).sum())
-    even = even_spread(settings.max_features, cell_px, shape)
+    height, width = image.shape
+    cell_px = fine_cell_px(image.shape, settings)
+    even = even_spread(settings.max_features, cell_px, image.shape)
+    # what covers tracked features is tracked itself, though there are enough: one in a fine cell
     spreads = (
-        (n_even, even, False),
-        # what covers tracked features is tracked itself, though there are enough
-        (settings.fine_features + min(n_even, 0), Spread(even.distance_px, cell_px, 1), False),
-        (settings.focus_features - n_focus, Spread(cell_px / 4.0, cell_px, 3 * 4), True),
-    )
-    room = np.zeros(shape, dtype=np.uint8)
-    all_of_focus = room if focus is None else focus
-    for n_most, spread, in_focus in spreads:
-        if n_most > 0:
-            room |= all_of_focus if in_focus else with_room(existing, spread, shape)
-    if mask is not None:
-        room[mask != 0] = 0
+        even, Spread(even.distance_px, cell_px, 1), Spread(cell_px / 4.0, cell_px, 3 * 4)
+    )  # fmt: skip
+    most = settings.max_features, settings.fine_features, settings.focus_features
+    cells = np.array([s.cell_px for s in spreads]), np.array([s.per_cell for s in spreads])
+    wanted_there, unwanted = (_EMPTY if m is None else for_kernels(m) for m in (focus, mask))
+    room, wanted = find_room_compiled(
+        height, width, unwanted, wanted_there, existing, dynamic, np.array(most), *cells,
+    )  # fmt: skip
     corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, room)
-    within = inside_mask(corners, focus)
-    taken = existing
-    for n_most, spread, in_focus in spreads:
-        chosen = within if in_focus else ~within
-        new = choose_corners(corners[chosen], taken, n_most, spread, shape)
-        taken = np.concatenate([taken, new])
-    return taken[len(existing) :]
+    apart_px = np.array([s.distance_px for s in spreads])
+    taken: FloatArray = take_corners_compiled(
+        corners, existing, wanted_there, wanted, apart_px, *cells, width, height
+    )
+    return taken
 
 
 def fine_cell_px(shape: tuple[int, ...], settings: TrackerSettings) -> int:
@@ -120,21 +119,6 @@ def focus_mask(
     return mask
 
 
-def with_room(existing: FloatArray, spread: Spread, shape: tuple[int, ...]) -> Image:
-    """An image (height, width), 255 in the cells of a spread that are not full of the `existing`
-    features (N, 2): FAST need not look for corners in others."""
-    height, width = shape[:2]
-    side = spread.cell_px
-    rows, columns = -(-height // side), -(-width // side)
-    column, row = (existing[np.isfinite(existing[:, 0])] // side).astype(np.int64).T
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    cell = row[inside] * columns + column[inside]
-    held = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
-    open_cells = np.uint8(255) * (held < spread.per_cell)
-    image = cv2.resize(open_cells, (columns * side, rows * side), interpolation=cv2.INTER_NEAREST)
-    return np.asarray(image[:height, :width], dtype=np.uint8)
-
-
 def fast_corners(
     image: Image, threshold: int, border_px: int, room: Image | None = None
 ) -> FloatArray:
@@ -148,33 +132,5 @@ def fast_corners(
     if not keypoints:
         return np.empty((0, 2))
     points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
-    response = np.fromiter((k.response for k in keypoints), np.float64, len(keypoints))
-    points = points[np.argsort(-response, kind="stable")]
-    height, width = image.shape
-    inside = (
-        (points[:, 0] >= border_px) & (points[:, 0] < width - border_px)
-        & (points[:, 1] >= border_px) & (points[:, 1] < height - border_px)
-    )  # fmt: skip
-    return np.asarray(points[inside])
-
-
-def choose_corners(
-    corners: FloatArray,
-    existing: FloatArray,
-    n_wanted: int,
-    spread: Spread,
-    shape: tuple[int, ...],
-) -> FloatArray:
-    """Of corners (M, 2), the strongest first, up to `n_wanted` (K, 2).
-
-    They are spread, together with the `existing` ones (N, 2), as is asked for.
-    """
-    if n_wanted <= 0 or len(corners) == 0:
-        return np.empty((0, 2))
-    height, width = shape[:2]
-    chosen = spread_corners_compiled(
-        corners, existing, n_wanted,
-        spread.distance_px, spread.cell_px, spread.per_cell, width, height,
-    )  # fmt: skip
-    taken: FloatArray = corners[chosen]
-    return taken
+    strongest: FloatArray = strongest_first_compiled(image, points, border_px)
+    return strongest

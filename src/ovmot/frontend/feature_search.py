@@ -156,7 +156,7 @@ def _find(
     helper: Executor,
     *,
     must_fit: bool,
-    portion: int = 128,
+    portion: int = 256,
     max_steps: int = 12,
     small_step_px: float = 0.005,
 ) -> None:

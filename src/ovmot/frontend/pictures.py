@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.errors import OvmotError
-from ovmot.frontend.image_kernel import count_levels_compiled
-from ovmot.frontend.preprocessing import for_kernels, grey_percentiles
+from ovmot.frontend.image_kernel import grey_range_compiled
+from ovmot.frontend.preprocessing import for_kernels
 from ovmot.geometry.arrays import BoolArray, Image
 from ovmot.types import FeatureFrame, Picture, StereoFrame
 
@@ -61,8 +61,7 @@ def _judge(
     unlike = np.zeros(len(thin), dtype=np.bool_)
     equal = unlike if last is None else np.asarray((thin == last[0]).all(axis=1))
     kept = thin, equal
-    counts = count_levels_compiled(for_kernels(image), _STEP)
-    low, high = grey_percentiles(counts, (1.0, 99.0))
+    low, high = grey_range_compiled(for_kernels(image), _STEP, 1.0, 99.0)
     if high - low < _FLAT_LEVELS:
         return Picture.FLAT, kept
     if last is None or not moving:

@@ -7,7 +7,11 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.lens_kernel import packed_camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.prediction_kernel import predict_matches_compiled, predict_tracks_compiled
+from ovmot.frontend.prediction_kernel import (
+    median_flow_compiled,
+    predict_matches_compiled,
+    predict_tracks_compiled,
+)
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
@@ -89,11 +93,5 @@ def median_flow_px(
     `xy` (N, 2): normalized coordinates; `p_before` (N, 3): positions in the camera of before,
     metres, NaN where unknown: those are moved by the rotation alone.
     """
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    known = np.isfinite(p_before[:, 2:])
-    now = np.where(known, se3.apply(T_now_before, p_before), ray @ T_now_before[:3, :3].T)
-    in_front = now[:, 2] > 0.0
-    if not in_front.any():
-        return 0.0
-    way = now[in_front, :2] / now[in_front, 2:] - xy[in_front]
-    return float(camera.fx * np.median(np.hypot(way[:, 0], way[:, 1])))
+    T = np.ascontiguousarray(T_now_before)
+    return float(camera.fx * median_flow_compiled(xy, p_before, T))

@@ -12,6 +12,7 @@ from ovmot.cameras.lens_kernel import to_pixel
 from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.sorting import median
 
 LEAST_DEPTH_M = 0.2
 """Points predicted nearer than this count as passed: their direction alone is used."""
@@ -128,7 +129,28 @@ def flow_nearby(
     return start
 
 
+def median_flow(xy: FloatArray, p_before: FloatArray, T: FloatArray) -> float:
+    """How far points at rest move in the normalized plane, in the median; 0 of none.
+
+    `xy` (N, 2): normalized coordinates before; `p_before` (N, 3): positions in the camera of then,
+    metres, NaN where unknown: those are turned alone. T (4, 4): `T_now_before`.
+    """
+    way, n = np.empty(len(xy)), 0
+    for i in range(len(xy)):
+        x, y, z, far = xy[i, 0], xy[i, 1], 1.0, 0.0
+        if math.isfinite(p_before[i, 2]):
+            x, y, z, far = p_before[i, 0], p_before[i, 1], p_before[i, 2], 1.0
+        q = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + far * T[2, 3]
+        if q > 0.0:
+            a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + far * T[0, 3]
+            b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + far * T[1, 3]
+            way[n] = math.hypot(a / q - xy[i, 0], b / q - xy[i, 1])
+            n += 1
+    return median(way, n) if n else 0.0
+
+
 _folder = code_folder(Path(__file__))
+median_flow_compiled = compiled(median_flow, _folder)
 predict_tracks_compiled = compiled(predict_tracks, _folder)
 predict_matches_compiled = compiled(predict_matches, _folder)
 flow_nearby_compiled = compiled(flow_nearby, _folder)

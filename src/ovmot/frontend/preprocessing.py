@@ -1,6 +1,6 @@
 """Images made ready for tracking: contrast correction, pyramid, smoothing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -12,13 +12,13 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
 from ovmot.frontend.image_kernel import (
-    count_levels_compiled,
+    grey_range_compiled,
     scale_levels_compiled,
     smooth_to_words_compiled,
 )
 from ovmot.frontend.klt_kernel import BACK_LEVELS, margin_of
 from ovmot.frontend.patch_kernel import MARGIN, Quads
-from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
@@ -140,21 +140,9 @@ def stretch_linearly(image: Image) -> Image:
     frame when the scene changes; it is limited so that night stays night.
     """
     image = for_kernels(image)
-    low, high = grey_percentiles(count_levels_compiled(image, 4), (2.0, 98.0))
+    low, high = grey_range_compiled(image, 4, 2.0, 98.0)
     gain = min(255.0 / max(high - low, 1.0), _MAX_GAIN)
     return scale_levels_compiled(image, low, gain)
-
-
-def grey_percentiles(counts: IntArray, percent: Sequence[float]) -> FloatArray:
-    """Percentiles of grey levels, interpolated between neighbours, by how many pixels have each
-    level (256,): the values of `numpy.percentile`, which sorts all pixels for them.
-    """
-    up_to = counts.cumsum()
-    place = np.array(percent) / 100.0 * (up_to[-1] - 1)
-    below = np.floor(place)
-    grey = np.searchsorted(up_to, np.stack([below, np.ceil(place)]), side="right")
-    out: FloatArray = grey[0] + (place - below) * (grey[1] - grey[0])
-    return out
 
 
 def for_kernels(image: Image) -> Image:
