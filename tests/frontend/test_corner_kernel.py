@@ -14,7 +14,11 @@ from ovmot.frontend.spread_kernel import spread_corners
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 SHAPE = (100, 160)
-CELL_PX, PER_CELL, APART_PX = np.array([30, 10, 10]), np.array([3, 1, 12]), np.array([6.0, 6.0, 2.5])
+CELL_PX, PER_CELL, APART_PX = (
+    np.array([30, 10, 10]),
+    np.array([3, 1, 12]),
+    np.array([6.0, 6.0, 2.5]),
+)
 
 
 def picture() -> Image:

@@ -17,7 +17,7 @@ from ovmot.segmentation.rig_body import (
     standing_features,
     without_rig_body,
 )
-from ovmot.segmentation.rig_body_kernel import find_standing_compiled
+from ovmot.segmentation.rig_body_kernel import count_in_cells_compiled, find_standing_compiled
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.types import FrontendFrame, PixelNoise, PointLabel, PoseWindow, ScenePoints
@@ -143,3 +143,20 @@ def test_the_kernel_is_its_plain_twin(rig: StereoRig) -> None:
     assert 5 < stands.sum() < n and 5 < moves.sum() < n
     np.testing.assert_array_equal(stands, wanted_stands)
     np.testing.assert_array_equal(moves, wanted_moves)
+
+
+def test_features_are_counted_in_their_cells() -> None:
+    """By the kernel as by NumPy; those beyond the picture or unseen are not."""
+    rng = np.random.default_rng(7)
+    pixels = rng.uniform(-20.0, 120.0, (200, 2))
+    pixels[::9] = np.nan
+    stands, moves = rng.uniform(size=(2, 200)) < 0.4
+    before = rng.integers(0, 9, (2, 8, 10))
+    after = count_in_cells_compiled(pixels, stands, moves, 10, 100, 75, before[0], before[1])
+    inside = (pixels >= 0.0).all(axis=1) & (pixels < [100.0, 75.0]).all(axis=1)
+    for k, which in enumerate((stands, moves)):
+        expected = before[k].copy()
+        column, row = (pixels[inside & which] // 10).astype(np.int64).T
+        np.add.at(expected, (row, column), 1)
+        np.testing.assert_array_equal(after[k], expected)
+    assert (before != after[0]).any()

@@ -3,7 +3,7 @@
 A rig with one camera is `StereoRig.monocular`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ class StereoRig:
     """Left camera `cam0`, right camera `cam1`, and the IMU that carries them.
 
     `T_imu_cam0`, `T_imu_cam1` (4, 4) map camera points into the IMU frame, metres.
+    `T_cam1_cam0` (4, 4) follows: it maps points of the left camera into the right one.
     `time_offset_s` is added to a camera stamp to give the IMU's time: t_imu = t_cam + offset.
     `n_cameras` is 1 for a monocular rig: `cam1` and its pose are then placeholders, which keep the
     arrays of both cameras their form; it has no images and sees nothing.
@@ -36,6 +37,7 @@ class StereoRig:
     T_imu_cam1: FloatArray
     time_offset_s: float = 0.0
     n_cameras: int = 2
+    T_cam1_cam0: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name, T in (("T_imu_cam0", self.T_imu_cam0), ("T_imu_cam1", self.T_imu_cam1)):
@@ -56,6 +58,8 @@ class StereoRig:
             raise CalibrationError(
                 f"no clock is {self.time_offset_s:g} s off: the time offset between camera and IMU"
             )
+        T_cam1_cam0 = se3.inverse(self.T_imu_cam1) @ self.T_imu_cam0
+        object.__setattr__(self, "T_cam1_cam0", T_cam1_cam0)
 
     @classmethod
     def make(
@@ -83,11 +87,6 @@ class StereoRig:
     @property
     def cameras(self) -> tuple[Camera, Camera]:
         return self.cam0, self.cam1
-
-    @property
-    def T_cam1_cam0(self) -> FloatArray:
-        """Maps points of the left camera into the right one."""
-        return se3.inverse(self.T_imu_cam1) @ self.T_imu_cam0
 
     @property
     def baseline(self) -> float:

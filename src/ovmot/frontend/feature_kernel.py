@@ -56,10 +56,10 @@ def _find_one(
         u, v, ok = flow_there_and_back(source, target, 1, side, room, u0, v0, uv[0], uv[1])
         if ok and math.hypot(u - uv[0], v - uv[1]) < MAX_ROUND_TRIP_PX:
             return ALIGNED
-    if n_levels == 0:
-        return LOST
     # by flow, and by the patch from where that leads
-    u, v, ok = flow_there_and_back(source, target, n_levels, side, room, u0, v0, begin_u, begin_v)
+    u, v, ok = begin_u, begin_v, n_levels > 0
+    if ok:
+        u, v, ok = flow_there_and_back(source, target, n_levels, side, room, u0, v0, u, v)
     uv[0], uv[1] = u, v
     warp[0, 0], warp[0, 1], warp[1, 0], warp[1, 1] = w00, w01, w10, w11
     if not ok:

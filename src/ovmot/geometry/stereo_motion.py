@@ -20,6 +20,8 @@ MIN_POINTS = 8
 _INLIER_PROBABILITY = 0.99
 _HUBER = 2.0  # standard deviations, from which on residuals count linearly
 _ITERATIONS = 8
+_SETTLED = 1e-6
+"""Squared Mahalanobis length of the last step: a thousandth of a standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ def _refine(
         gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
         step = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
-        if np.abs(step).max() < 1e-8:
+        if step @ information @ step < _SETTLED:
             break
     return T
 
@@ -184,7 +186,7 @@ def _refine_with_points(
         step = np.linalg.solve(information, gradient)
         point = point + (N_inverse @ (g - cross @ step[:, None]))[..., 0]
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
-        if np.abs(step).max() < 1e-8:
+        if step @ information @ step < _SETTLED:
             break
     return T, information, inlier
 

@@ -16,7 +16,7 @@ from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.physics import RIG_REACH_M
-from ovmot.segmentation.rig_body_kernel import find_standing_compiled
+from ovmot.segmentation.rig_body_kernel import count_in_cells_compiled, find_standing_compiled
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.types import PixelNoise, PointLabel, PoseWindow
 
@@ -87,11 +87,10 @@ def counted(
     `standing_features`, and their pixels (N, 4)."""
     stood, moved = list(body.stood), list(body.moved)
     for side, camera in enumerate(rig.cameras):
-        row, column, inside = _cell_of(pixels[:, 2 * side : 2 * side + 2], camera)
-        cell = row * _CELLS + column
-        for which, counts in ((stands, stood), (moves, moved)):
-            more = np.bincount(cell[which & inside], minlength=counts[side].size)
-            counts[side] = counts[side] + more.reshape(counts[side].shape)
+        stood[side], moved[side] = count_in_cells_compiled(
+            np.ascontiguousarray(pixels[:, 2 * side : 2 * side + 2]), stands, moves,
+            _cell_px(camera), camera.width, camera.height, stood[side], moved[side],
+        )  # fmt: skip
     return RigBody((stood[0], stood[1]), (moved[0], moved[1]))
 
 

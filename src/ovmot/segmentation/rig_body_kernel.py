@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
 STANDS, EXPECTED, MOVES = 3.0, 10.0, 6.0
@@ -57,4 +57,25 @@ def find_standing(
     return stands, moves
 
 
-find_standing_compiled = compiled(find_standing, code_folder(Path(__file__)))
+def count_in_cells(
+    pixels: FloatArray, stands: BoolArray, moves: BoolArray, cell_px: int, width: int, height: int,
+    stood: IntArray, moved: IntArray,
+) -> tuple[IntArray, IntArray]:  # fmt: skip
+    """The counts `stood` and `moved` (rows, columns) with a frame's features, in new arrays.
+
+    `pixels` (N, 2) in the picture (height, width), of cells of side `cell_px`; which features stand
+    and which move (N,).
+    """
+    more_stood, more_moved = stood.copy(), moved.copy()
+    for n in range(len(pixels)):
+        u, v = pixels[n]
+        if 0.0 <= u < width and 0.0 <= v < height:
+            row, column = int(v) // cell_px, int(u) // cell_px
+            more_stood[row, column] += stands[n]
+            more_moved[row, column] += moves[n]
+    return more_stood, more_moved
+
+
+_folder = code_folder(Path(__file__))
+find_standing_compiled = compiled(find_standing, _folder)
+count_in_cells_compiled = compiled(count_in_cells, _folder)
