@@ -6,9 +6,11 @@ import numpy as np
 
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.stereo_motion_kernel import (
+    motion_and_point_equations_compiled,
+    motion_equations_compiled,
+)
 from ovmot.geometry.triangulation import (
-    inverse_3x3,
-    project_normalized,
     project_stereo,
     stereo_covariance,
     triangulate_stereo,
@@ -127,16 +129,7 @@ def _refine(
     """Gauss-Newton on the motion with Huber weights; points beyond twice the gate are left out."""
     bound = 2.0 * gate(4, _INLIER_PROBABILITY)
     for _ in range(_ITERATIONS):
-        rotated = p @ T[:3, :3].T
-        h, J_point = project_stereo(rotated + T[:3, 3], T_c1_c0)
-        r = z - h
-        distance = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", r, W, r), 1e-12))
-        inlier = distance**2 < bound
-        weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)
-        J = np.concatenate([J_point @ -so3.hat(rotated), J_point], axis=2)
-        JtW = np.swapaxes(J, -1, -2) @ (W * weight[:, None, None])
-        information = (JtW @ J).sum(0)
-        gradient = (JtW @ r[..., None]).sum(0)[:, 0]
+        information, gradient = motion_equations_compiled(T, p, z, W, T_c1_c0, bound, _HUBER)
         information[:3, :3] += np.eye(3) / rotation_sigma**2
         gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
         step = np.linalg.solve(information + 1e-9 * np.eye(6), gradient)
@@ -166,48 +159,16 @@ def _refine_with_points(
     information, inlier = np.eye(6), np.zeros(len(p), dtype=np.bool_)
     point = np.concatenate([before[:, :2], 1.0 / p[:, 2:]], axis=1)
     for _ in range(_ITERATIONS):
-        r0, A0, _ = _residuals(point, np.eye(4), before, sigma, T_c1_c0)
-        r1, A1, J = _residuals(point, T, now, sigma, T_c1_c0)
-        A, r = np.concatenate([A0, A1], axis=1), np.concatenate([r0, r1], axis=1)
-        At = np.swapaxes(A, -1, -2)
-        N_inverse, g = inverse_3x3(At @ A), At @ r
-        squared = (r * r).sum((1, 2)) - (np.swapaxes(g, -1, -2) @ N_inverse @ g)[:, 0, 0]
-        distance = np.sqrt(np.maximum(squared, 1e-12))
-        inlier = distance**2 < bound
+        information, gradient, inlier, shift, by_motion = motion_and_point_equations_compiled(
+            T, point, before, now, sigma, T_c1_c0, bound, _HUBER
+        )
         if not inlier.any():  # the wide gate has mixed two motions into one of neither
             break
-        weight = np.where(inlier, np.minimum(1.0, _HUBER / distance), 0.0)[:, None, None]
-        Jt, cross = np.swapaxes(J, -1, -2), np.swapaxes(A1, -1, -2) @ J
-        K = np.swapaxes(cross, -1, -2) @ N_inverse
-        information = (weight * (Jt @ J - K @ cross)).sum(0)
-        gradient = (weight * (Jt @ r1 - K @ g)).sum(0)[:, 0]
         information[:3, :3] += np.eye(3) / rotation_sigma**2
         gradient[:3] += so3.log(R_prior @ T[:3, :3].T) / rotation_sigma**2
         step = np.linalg.solve(information, gradient)
-        point = point + (N_inverse @ (g - cross @ step[:, None]))[..., 0]
+        point = point + shift - by_motion @ step
         T = se3.make(so3.exp(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
         if step @ information @ step < _SETTLED:
             break
     return T, information, inlier
-
-
-def _residuals(
-    point: FloatArray, T: FloatArray, z: FloatArray, sigma: FloatArray, T_c1_c0: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened residuals (N, 4, 1) of points (x, y, 1/z) transformed by T, seen as z (N, 4).
-
-    And the Jacobians by point (N, 4, 3) and motion (N, 4, 6). Homogeneous points are scaled by 1/z,
-    so that far ones are no exception.
-    """
-    inverse_depth = point[:, 2:]
-    rotated = np.concatenate([point[:, :2], np.ones_like(inverse_depth)], axis=1) @ T[:3, :3].T
-    q = rotated + inverse_depth * T[:3, 3]
-    h0, J0 = project_normalized(q)
-    h1, J1 = project_normalized(q @ T_c1_c0[:3, :3].T + inverse_depth * T_c1_c0[:3, 3])
-    by_q = np.concatenate([J0, J1 @ T_c1_c0[:3, :3]], axis=1) / sigma[:, None]
-    by_depth = by_q @ T[:3, 3:]
-    by_depth[:, 2:] += (J1 @ T_c1_c0[:3, 3:]) / sigma[2:, None]
-    by_point = np.concatenate([by_q @ T[:3, :2], by_depth], axis=2)
-    by_motion = np.concatenate([by_q @ -so3.hat(rotated), by_q * inverse_depth[..., None]], axis=2)
-    residual = (z - np.concatenate([h0, h1], axis=1)) / sigma
-    return residual[..., None], by_point, by_motion
