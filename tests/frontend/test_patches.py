@@ -6,7 +6,7 @@ import pytest
 
 from ovmot.cameras.camera import Camera
 from ovmot.frontend.feature_search import Found, Sought, find_features
-from ovmot.frontend.patches import PatchStore, is_rescaled
+from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import View, build_pyramid, patch_image
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.runtime import CallingThread
@@ -114,12 +114,6 @@ def test_a_renewed_patch_is_that_of_a_new_feature() -> None:
     anew = new.add(other, points)
     np.testing.assert_array_equal(renewed.grey[slot], new.grey[anew])
     np.testing.assert_array_equal(renewed.warp[slot], np.broadcast_to(np.eye(2), (len(slot), 2, 2)))
-
-
-def test_a_patch_is_rescaled_along_any_direction() -> None:
-    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
-    warps = [np.eye(2), turn, turn @ np.diag([1.0, 1.8]), turn @ np.diag([0.55, 1.0]) @ turn.T]
-    np.testing.assert_array_equal(is_rescaled(np.array(warps)), [False, False, True, True])
 
 
 def test_the_answer_does_not_depend_on_the_company() -> None:

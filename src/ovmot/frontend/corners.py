@@ -11,13 +11,11 @@ from ovmot.frontend.corner_kernel import (
     strongest_first_compiled,
     take_corners_compiled,
 )
-from ovmot.frontend.preprocessing import for_kernels
+from ovmot.frontend.preprocessing import NO_MASK, for_kernels
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.physics import MAX_VEHICLE_SIZE_M
 from ovmot.settings import TrackerSettings
 from ovmot.types import PointLabel, ScenePoints
-
-_EMPTY: Image = np.empty((0, 0), dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +53,7 @@ def new_corners(
     )  # fmt: skip
     most = settings.max_features, settings.fine_features, settings.focus_features
     cells = np.array([s.cell_px for s in spreads]), np.array([s.per_cell for s in spreads])
-    wanted_there, unwanted = (_EMPTY if m is None else for_kernels(m) for m in (focus, mask))
+    wanted_there, unwanted = (NO_MASK if m is None else for_kernels(m) for m in (focus, mask))
     room, wanted = find_room_compiled(
         height, width, unwanted, wanted_there, existing, dynamic, np.array(most), *cells,
     )  # fmt: skip

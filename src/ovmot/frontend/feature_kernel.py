@@ -19,7 +19,7 @@ from ovmot.frontend.patch_kernel import (
     cut_patch,
     make_room,
 )
-from ovmot.geometry.arrays import FloatArray, Image, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
 LOST, TRACKED, ALIGNED = 0, 1, 2
@@ -135,6 +135,45 @@ def cut_patches(
         cut_patch(words, uv[n, 0], uv[n, 1], wide, grey[at], steepest[at], inverse[at], damping)
 
 
+@part
+def _is_rescaled(warp: FloatArray, max_scale: float) -> bool:
+    """Is a patch seen larger or smaller by more than `max_scale`? A singular value of the warp
+    (2, 2) says so."""
+    square = warp[0, 0] ** 2 + warp[0, 1] ** 2 + warp[1, 0] ** 2 + warp[1, 1] ** 2
+    det = warp[0, 0] * warp[1, 1] - warp[0, 1] * warp[1, 0]
+    root = math.sqrt(max(square * square - 4.0 * det * det, 0.0))
+    largest, smallest = 0.5 * (square + root), 0.5 * (square - root)  # squared singular values
+    return largest > max_scale * max_scale or smallest * max_scale * max_scale < 1.0
+
+
+def keep_found(
+    uv: FloatArray, xy: FloatArray, warp: FloatArray, found: BoolArray, fits: BoolArray,
+    mask: Image, width: int, height: int, border_px: int, max_scale: float,
+) -> tuple[IntArray, BoolArray]:  # fmt: skip
+    """Which features (M,) of N go on, and of which the patch is stale (M,).
+
+    Those that are `found` (N,) at pixels `uv` (N, 2) at least `border_px` inside the image of this
+    size, where `mask` is zero (of its size, or empty), and within the camera model: normalized
+    coordinates `xy` (N, 2) are known. A patch is stale that does not fit, `fits` (N,), or that its
+    `warp` (N, 2, 2) shows larger or smaller by more than `max_scale`.
+    """
+    row, stale, count = np.empty(len(uv), np.int64), np.empty(len(uv), np.bool_), 0
+    for n in range(len(uv)):
+        u, v = uv[n]
+        inside = (
+            border_px <= u <= width - 1 - border_px and border_px <= v <= height - 1 - border_px
+        )
+        if not (found[n] and inside and math.isfinite(xy[n, 0])):
+            continue
+        if len(mask) and mask[int(np.rint(v)), int(np.rint(u))] != 0:
+            continue
+        row[count] = n
+        stale[count] = not fits[n] or _is_rescaled(warp[n], max_scale)
+        count += 1
+    return row[:count], stale[:count]
+
+
 _folder = code_folder(Path(__file__))
+keep_found_compiled = compiled(keep_found, _folder)
 find_features_compiled = compiled(find_features, _folder)
 cut_patches_compiled = compiled(cut_patches, _folder)

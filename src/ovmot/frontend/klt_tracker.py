@@ -7,6 +7,7 @@ import numpy as np
 
 from ovmot.frontend.corners import fine_cell_px, new_corners
 from ovmot.frontend.epipolar import two_view_inliers
+from ovmot.frontend.feature_kernel import keep_found_compiled
 from ovmot.frontend.feature_search import (
     Sought,
     find_features,
@@ -15,7 +16,7 @@ from ovmot.frontend.feature_search import (
     only_fitting,
     recover_lost,
 )
-from ovmot.frontend.patches import PatchStore, is_rescaled
+from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.prediction import predict_tracks, unexplained_flow
 from ovmot.frontend.prediction_kernel import flow_nearby_compiled
 from ovmot.frontend.preprocessing import Pyramid, View
@@ -26,6 +27,8 @@ from ovmot.settings import TrackerSettings
 _NEW = 2
 """Track length below which nothing is known of a point's own motion: the flow of two intervals
 tells a motion from a mismatch."""
+_MAX_SCALE = 1.7
+"""A patch that is seen larger or smaller by more is cut anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,11 +137,13 @@ class KltTracker:
         far = static_uv if wrong else np.full_like(static_uv, np.nan)
         now = recover_lost(sought, view, first, starts, far, self._settings, self._helper)
         xy = camera.normalize(now.uv)
-        rows = np.flatnonzero(now.found & view.contains(now.uv) & np.isfinite(xy[:, 0]))
+        rows, stale = keep_found_compiled(
+            now.uv, xy, now.warp, now.found, now.fits, view.compact_mask,
+            camera.width, camera.height, view.pyramid.window // 2, _MAX_SCALE,
+        )  # fmt: skip
         uv, xy, slot = now.uv[rows], xy[rows], last.slot[rows]
         # patches that do not fit any more, or are seen at another scale, are cut anew
         self.patches.warp[slot] = now.warp[rows]
-        stale = ~now.fits[rows] | is_rescaled(now.warp[rows])
         self.patches.renew(view.words, uv[stale], slot[stale])
         # two-view test
         threshold = self._settings.two_view_threshold_px / camera.fx

@@ -70,14 +70,3 @@ class PatchStore:
         self.grey, self.steepest = grown(self.grey), grown(self.steepest)
         self.inverse, self.warp = grown(self.inverse), grown(self.warp)
         self.is_new, self._in_use = grown(self.is_new), grown(self._in_use)
-
-
-def is_rescaled(warp: FloatArray, *, max_scale: float = 1.7) -> BoolArray:
-    """Which patches (N,) are seen larger or smaller by more than `max_scale`: a singular value of
-    the warp (N, 2, 2) says so."""
-    square = (warp**2).sum(axis=(1, 2))
-    det = warp[:, 0, 0] * warp[:, 1, 1] - warp[:, 0, 1] * warp[:, 1, 0]
-    root = np.sqrt(np.maximum(square**2 - 4.0 * det**2, 0.0))
-    largest, smallest = 0.5 * (square + root), 0.5 * (square - root)  # squared singular values
-    rescaled: BoolArray = (largest > max_scale**2) | (smallest < max_scale**-2)
-    return rescaled

@@ -24,6 +24,8 @@ from ovmot.settings import TrackerSettings
 from ovmot.types import FeatureFrame, StereoFrame
 
 LEFT, RIGHT = 0, 1
+NO_MASK: Image = np.empty((0, 0), dtype=np.uint8)
+"""An image of no pixels: no mask, as kernels take it."""
 _MAX_GAIN = 4.0
 """Greatest gain of contrast, so that night stays night; CLAHE's clip limit is the same bound."""
 
@@ -50,6 +52,11 @@ class View:
     words: Quads
     mask: Image | None
     camera: Camera
+
+    @property
+    def compact_mask(self) -> Image:
+        """The mask as kernels take it: empty where there is none."""
+        return NO_MASK if self.mask is None else for_kernels(self.mask)
 
     def contains(self, uv: FloatArray) -> BoolArray:
         """Around which pixels (N, 2) the window of optical flow lies in the image, and which of

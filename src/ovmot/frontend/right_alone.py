@@ -1,6 +1,7 @@
 """The right camera by itself, for as long as the left one has no picture."""
 
 from concurrent.futures import Executor
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +14,35 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.settings import TrackerSettings
 from ovmot.types import FrontendFrame
+
+
+@dataclass(frozen=True, slots=True)
+class RightView:
+    """What the right camera has of a frame: its view, the frame's points (N,), their `pixels` and
+    `normalized` coordinates in both images (N, 4), NaN where there is no match, and where they are
+    in the left camera, `p_cam0` (N, 3), metres."""
+
+    view: View
+    points: TrackedPoints
+    pixels: FloatArray
+    normalized: FloatArray
+    p_cam0: FloatArray
+
+    def own_points(self) -> tuple[TrackedPoints, FloatArray]:
+        """The points that are matched there as the right camera's own, and where they are in the
+        left camera (M, 3)."""
+        points, matched = self.points, np.flatnonzero(np.isfinite(self.pixels[:, 2]))
+        own = TrackedPoints(
+            feature_id=points.feature_id[matched],
+            uv=self.pixels[matched, 2:],
+            xy=self.normalized[matched, 2:],
+            track_length=points.track_length[matched],
+            depth=np.full(len(matched), np.nan),
+            extra_flow=np.zeros((len(matched), 2)),
+            inlier=points.inlier[matched],
+            slot=points.slot[matched],
+        )
+        return own, self.p_cam0[matched]
 
 
 class RightAlone:
@@ -31,23 +61,22 @@ class RightAlone:
         self,
         timestamp_ns: int,
         view: View,
-        before: tuple[View, TrackedPoints, FloatArray] | None,
+        before: RightView | None,
         T_now_before: FloatArray,
         rig: StereoRig,
         dynamic_id: IntArray,
     ) -> FrontendFrame:
         """Features of a frame, each in the right half of its columns.
 
-        `before`: the last right view, the features in it and where they were in the left camera
-        (N, 3), metres, None where it has none. `T_now_before` (4, 4): motion of the left camera
-        since the last frame.
+        `before`: what it saw of the last frame with a left picture, None where nothing.
+        `T_now_before` (4, 4): motion of the left camera since the last frame.
         """
         if self._tracker is None:
             self._tracker = KltTracker(self._settings, self._helper, self._ids)
             self._p_cam1 = np.empty((0, 3))
             if before is not None:
-                last_view, points, p_cam0 = before
-                self._tracker.take_over(last_view, points)
+                points, p_cam0 = before.own_points()
+                self._tracker.take_over(before.view, points)
                 self._p_cam1 = se3.apply(rig.T_cam1_cam0, p_cam0)
         T, last = motion_of_right(T_now_before, rig), self._tracker.points
         points = self._tracker.step(view, self._p_cam1, self._p_cam1, T, None, dynamic_id)
@@ -61,29 +90,3 @@ class RightAlone:
             track_length=points.track_length,
             two_view_inlier=points.inlier,
         )
-
-
-def seen_by_right(
-    view: View,
-    points: TrackedPoints,
-    pixels: FloatArray,
-    normalized: FloatArray,
-    p_cam0: FloatArray,
-) -> tuple[View, TrackedPoints, FloatArray]:
-    """The right view of a frame, those of its points that are matched there, as the right camera's
-    own, and where they are in the left camera (M, 3), metres.
-
-    `pixels`, `normalized` (N, 4): of both images, NaN where there is no match.
-    """
-    matched = np.flatnonzero(np.isfinite(pixels[:, 2]))
-    own = TrackedPoints(
-        feature_id=points.feature_id[matched],
-        uv=pixels[matched, 2:],
-        xy=normalized[matched, 2:],
-        track_length=points.track_length[matched],
-        depth=np.full(len(matched), np.nan),
-        extra_flow=np.zeros((len(matched), 2)),
-        inlier=points.inlier[matched],
-        slot=points.slot[matched],
-    )
-    return view, own, p_cam0[matched]

@@ -9,14 +9,14 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.corners import fine_cell_px, focus_mask
-from ovmot.frontend.epipolar import gate_matches, no_matches, without_rejected
+from ovmot.frontend.epipolar import gate_matches, no_matches
 from ovmot.frontend.feature_search import Sought, find_features, near_levels, recover_lost
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
 from ovmot.frontend.pictures import LastPictures, Pictures, judge_pictures
 from ovmot.frontend.positions import carried_positions
 from ovmot.frontend.prediction import median_flow_px, predict_right
 from ovmot.frontend.preprocessing import LEFT, RIGHT, View, preprocess
-from ovmot.frontend.right_alone import RightAlone, seen_by_right
+from ovmot.frontend.right_alone import RightAlone, RightView
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import positions
 from ovmot.geometry.triangulation import triangulate_stereo
@@ -62,7 +62,7 @@ class StereoTracker:
         self._last_ns = 0
         self._p_cam0 = np.empty((0, 3))
         self._T_since = np.eye(4)
-        self._last_right: tuple[View, TrackedPoints, FloatArray] | None = None
+        self._last_right: RightView | None = None
 
     def close(self) -> None:
         """Stop the helping thread."""
@@ -126,9 +126,7 @@ class StereoTracker:
             pixels, normalized, matches = self._match_right(left, right, points, cell_px)
             self._p_cam0 = triangulate_stereo(normalized, self._rig.T_cam1_cam0)
         self._last_right = (
-            None
-            if right is None
-            else seen_by_right(right, points, pixels, normalized, self._p_cam0)
+            None if right is None else RightView(right, points, pixels, normalized, self._p_cam0)
         )
         self._last_ns, self._T_since = timestamp_ns, np.eye(4)
         self._right_alone.end()
@@ -171,15 +169,15 @@ class StereoTracker:
         no_other, far = np.empty((0, *start.shape)), start.copy()
         far[points.track_length > 0] = np.nan
         seen = recover_lost(sought, right, first, no_other, far, self._settings, self._helper)
-        uv = seen.uv
-        ok = seen.found & right.contains(uv)
+        ok = seen.found & right.contains(seen.uv)
         # epipolar gate on every pair
-        pixels = np.concatenate([points.uv, np.where(ok[:, None], uv, np.nan)], axis=1)
-        xy = right.camera.normalize(pixels[:, 2:])
-        normalized = np.concatenate([points.xy, xy], axis=1)
+        pixels, normalized = np.full((len(points), 4), np.nan), np.empty((len(points), 4))
+        pixels[:, :2], pixels[ok, 2:] = points.uv, seen.uv[ok]
+        normalized[:, :2], normalized[:, 2:] = points.xy, right.camera.normalize(pixels[:, 2:])
+        tested = np.flatnonzero(ok)
         matches = gate_matches(
-            points.feature_id[ok], pixels[ok], normalized[ok], self._rig, self._epipolar
+            points.feature_id[tested], pixels[tested], normalized[tested], self._rig, self._epipolar
         )
-        pixels[ok] = without_rejected(pixels[ok], matches)
-        normalized[ok] = without_rejected(normalized[ok], matches)
+        rejected = tested[~matches.accepted]
+        pixels[rejected, 2:] = normalized[rejected, 2:] = np.nan
         return pixels, normalized, matches
