@@ -20,7 +20,7 @@ from ovmot.frontend.patch_kernel import (
     make_room,
 )
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
-from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 
 LOST, TRACKED, ALIGNED = 0, 1, 2
 """How a feature was found: not at all, by optical flow alone, by its first patch."""
@@ -29,7 +29,7 @@ _Float32 = npt.NDArray[np.float32]
 _States = npt.NDArray[np.uint8]
 
 
-@part
+@inlined_part
 def _find_one(
     source: tuple[Image, ...], target: tuple[Image, ...], words: Quads, side: int,
     grey: _Float32, steepest: _Float32, inverse: _Float32, points: FloatArray, n_levels: int,
