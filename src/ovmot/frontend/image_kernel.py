@@ -40,7 +40,7 @@ def _percentile(counts: IntArray, percent: float) -> float:
     while up_to <= below + 1 and place > below:
         above += 1
         up_to += counts[above]
-    return level + (place - below) * (above - level)
+    return float(level + (place - below) * (above - level))
 
 
 def scale_levels(image: Image, low: float, gain: float) -> Image:
