@@ -45,7 +45,7 @@ def test_corners_come_in_the_order_of_opencv_s_response() -> None:
     assert len(keypoints) > 100
     points = np.array([k.pt for k in keypoints])
     order = np.argsort([-k.response for k in keypoints], kind="stable")
-    inside = ((points >= 7.0) & (points < np.array(SHAPE[::-1]) - 7.0)).all(axis=1)
+    inside = np.asarray(((points >= 7.0) & (points < np.array(SHAPE[::-1]) - 7.0)).all(axis=1))
     expected = points[order][inside[order]]
     np.testing.assert_array_equal(strongest_first_compiled(image, points, 7), expected)
     assert strongest_first_compiled(image, points[:0], 7).shape == (0, 2)

@@ -24,7 +24,7 @@ def _response(image: Image, u: int, v: int) -> int:
         for k in range(first, first + _ARC):
             off = np.int64(image[v + _RING_V[k % _RING], u + _RING_U[k % _RING]]) - centre
             darker, brighter = min(darker, -off), min(brighter, off)
-        best = max(best, darker, brighter)
+        best = max(best, int(darker), int(brighter))
     return best - 1
 
 

@@ -143,7 +143,7 @@ def _is_rescaled(warp: FloatArray, max_scale: float) -> bool:
     det = warp[0, 0] * warp[1, 1] - warp[0, 1] * warp[1, 0]
     root = math.sqrt(max(square * square - 4.0 * det * det, 0.0))
     largest, smallest = 0.5 * (square + root), 0.5 * (square - root)  # squared singular values
-    return largest > max_scale * max_scale or smallest * max_scale * max_scale < 1.0
+    return bool(largest > max_scale * max_scale or smallest * max_scale * max_scale < 1.0)
 
 
 def keep_found(
