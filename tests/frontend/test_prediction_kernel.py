@@ -75,7 +75,7 @@ def test_tracks(n: int, known: float) -> None:
     own[::4] += [0.3, 0.0, -0.5]
     compiled = predict_tracks_compiled(uv, xy, p, own, extra, T, *packed_camera(CAMERA))
     for a, b in zip(compiled, predict_tracks_numpy(uv, xy, p, own, extra), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9)
+        np.testing.assert_allclose(np.asarray(a), b, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("n", "known"), [(0, 0.5), (6, 0.5), (80, 0.7), (80, 0.0)])

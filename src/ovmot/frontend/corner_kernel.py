@@ -18,14 +18,14 @@ _RING, _ARC = 16, 9
 @part
 def _response(image: Image, u: int, v: int) -> int:
     """The greatest threshold at which a pixel is still a corner of FAST-9."""
-    centre, best = np.int64(image[v, u]), 0
+    centre, best = np.int64(image[v, u]), np.int64(0)
     for first in range(_RING):
-        darker, brighter = 255, 255
+        darker, brighter = np.int64(255), np.int64(255)
         for k in range(first, first + _ARC):
             off = np.int64(image[v + _RING_V[k % _RING], u + _RING_U[k % _RING]]) - centre
             darker, brighter = min(darker, -off), min(brighter, off)
-        best = max(best, int(darker), int(brighter))
-    return best - 1
+        best = max(best, darker, brighter)
+    return int(best) - 1
 
 
 def strongest_first(image: Image, corners: FloatArray, border_px: int) -> FloatArray:
