@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from ovmot.outputs.finished_run import Run
     from ovmot.outputs.run_json import RunSummary
     from ovmot.outputs.run_writer import Output, RunContext
+    from ovmot.outputs.views import View
+    from ovmot.report.report import write_report
     from ovmot.run import RunOptions, poses_from_file, run_sequence
     from ovmot.run_evaluation import Evaluation, evaluate, metrics_table, write_metrics, write_plots
     from ovmot.runtime import prepare_process
@@ -95,6 +97,7 @@ __all__ = [
     "StereoFrame",
     "StereoMatches",
     "StereoRig",
+    "View",
     "WrittenCalibration",
     "describe_settings",
     "evaluate",
@@ -110,6 +113,7 @@ __all__ = [
     "write_calibration",
     "write_metrics",
     "write_plots",
+    "write_report",
 ]
 
 _HOMES = {
@@ -127,6 +131,8 @@ _HOMES = {
     "outputs.finished_run": "Run",
     "outputs.run_json": "RunSummary",
     "outputs.run_writer": "Output RunContext",
+    "outputs.views": "View",
+    "report.report": "write_report",
     "run": "RunOptions poses_from_file run_sequence",
     "run_evaluation": "Evaluation evaluate metrics_table write_metrics write_plots",
     "runtime": "prepare_process",

@@ -36,6 +36,7 @@ from ovmot.outputs.run_json import (
     write_run_json,
 )
 from ovmot.outputs.run_writer import Output, RunContext, RunWriter, open_outputs
+from ovmot.outputs.views import View
 from ovmot.runtime import HeldInterrupts
 from ovmot.settings import Settings
 from ovmot.text_files import StrPath
@@ -69,6 +70,10 @@ class RunOptions:
         A pose file in place of the filter: TUM, EuRoC or KITTI form.
     save_points, video
         Write `points.csv` and `stereo.csv`; write `overlay.mp4`.
+    view
+        What the video shows: `objects`, `stereo`, `dynamic` or `all`.
+    preview
+        Keep small pictures of the run in `preview.npz`, for its report.
     force
         Replace the run that the folder holds.
     first, last
@@ -92,6 +97,8 @@ class RunOptions:
     more_outputs: tuple[Callable[[RunContext], Output], ...] = ()
     mask_files: tuple[StrPath | None, StrPath | None] = (None, None)
     threads: int = 1
+    view: View = "objects"
+    preview: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,6 +219,7 @@ def _run_interruptibly(
     began = time.perf_counter()
     writer = open_outputs(
         out, rig=odometry.rig, save_points=options.save_points, video=options.video,
+        view=options.view, preview=options.preview,
         force=options.force, stages=STAGES, calibration=settings.calibration.any,
         frame_number=source.frame_number if settings.objects.enabled else None,
         more=options.more_outputs,

@@ -14,6 +14,7 @@ from ovmot.datasets.pose_files import Trajectory, interpolate_poses
 from ovmot.datasets.registry import open_sequence
 from ovmot.datasets.truth import EgoTruth, ObjectTruth
 from ovmot.errors import InputError, OvmotError
+from ovmot.evaluation.alignment import ALIGNMENTS, Alignment
 from ovmot.evaluation.calibration import CalibrationErrors, calibration_scalars
 from ovmot.evaluation.ego import EgoMetrics, evaluate_ego, scalars
 from ovmot.evaluation.headline import HEADLINES, NOTES, headline
@@ -104,6 +105,28 @@ def evaluate(
     folder = run.folder if isinstance(run, Run) else Path(run)
     place = _input_of(folder) if truth is None else Path(truth)
     return _evaluation(folder, place, sequence, criteria or ObjectCriteria())
+
+
+@dataclass(frozen=True, slots=True)
+class MotionComparison:
+    """The ego motion against the truth, and the alignment `yaw` of the run's world to its world."""
+
+    metrics: EgoMetrics
+    alignment: Alignment
+
+
+def compare_motion(
+    run: StrPath | Run, truth: StrPath | None = None, sequence: str | None = None
+) -> MotionComparison:
+    """The ego motion alone against the truth; arguments and errors as those of `evaluate`."""
+    folder = run.folder if isinstance(run, Run) else Path(run)
+    ego_run = read_ego_run(folder)
+    known = find_ego_truth(_input_of(folder) if truth is None else Path(truth), sequence)
+    ego_truth = _at_poses_of(ego_run, known)
+    metrics = evaluate_ego(ego_run, ego_truth)
+    of_truth, of_run = associate_stamps(ego_truth.timestamp_ns, ego_run.timestamp_ns, _MAX_GAP_NS)
+    alignment = ALIGNMENTS["yaw"](ego_truth.T_world_imu[of_truth], ego_run.T_world_imu[of_run])
+    return MotionComparison(metrics, alignment)
 
 
 def _input_of(run: Path) -> Path:

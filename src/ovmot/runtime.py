@@ -8,6 +8,7 @@ the kernel. `limit_blas_threads` must run before NumPy is first imported.
 import ctypes
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -15,6 +16,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from importlib import import_module
+from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any, Self, TypeVar
 
@@ -128,6 +131,45 @@ class Stopwatch:
         finally:
             spent = 1e3 * (time.perf_counter() - start)
             self.milliseconds[name] = self.milliseconds.get(name, 0.0) + spent
+
+
+class HelperProcess:
+    """Another Python process that runs `function(requests, replies)` of a module.
+
+    `requests` and `replies` are `multiprocessing.connection.Connection`s. It imports nothing of
+    this process's main module, is not reached by Ctrl-C in a terminal, and sees the end of
+    `requests` where this process ends, however that happens.
+    """
+
+    def __init__(self, module: str, function: str) -> None:
+        here_in, there_out = os.pipe()
+        there_in, here_out = os.pipe()
+        given = (there_in, there_out)
+        call = f"from ovmot.runtime import serve_helper; serve_helper{(module, function, *given)}"
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", call],
+            pass_fds=given,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            start_new_session=True,
+        )
+        for fd in given:
+            os.close(fd)
+        self.replies = Connection(here_in, writable=False)
+        self.requests = Connection(here_out, readable=False)
+
+    def close(self) -> None:
+        """Let it finish what it has been sent, and wait for that; a second call does nothing."""
+        self.requests.close()
+        self.replies.close()
+        self._process.wait()
+
+
+def serve_helper(module: str, function: str, requests_fd: int, replies_fd: int) -> None:
+    """What runs in a `HelperProcess`."""
+    prepare_process()
+    requests = Connection(requests_fd, writable=False)
+    replies = Connection(replies_fd, readable=False)
+    getattr(import_module(module), function)(requests, replies)
 
 
 def helping_thread(threads: int) -> Executor:

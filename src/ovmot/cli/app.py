@@ -44,9 +44,11 @@ from ovmot.cli.options import (
     RightOption,
     SequenceOption,
     SetOption,
+    ViewOption,
     preset_lines,
 )
 from ovmot.cli.recorded import open_recorded
+from ovmot.cli.report import report, report_of_run
 from ovmot.ros.bag_output import BagOutput
 from ovmot.runtime import take_signals_as_interrupts
 
@@ -127,6 +129,7 @@ def run(
         bool, typer.Option("--save-points", help="Write points.csv and stereo.csv.")
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write overlay.mp4.")] = False,
+    view: ViewOption = "objects",
     bag: Annotated[
         Path | None,
         typer.Option(
@@ -134,6 +137,9 @@ def run(
             help="Write the results as a ROS bag too: .bag, .mcap, or a folder of ROS 2.",
         ),
     ] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Make no report.html.")
+    ] = False,
     no_objects: Annotated[
         bool, typer.Option("--no-objects", help="Do not look for moving objects.")
     ] = False,
@@ -157,10 +163,10 @@ def run(
     settings = recorded.settings(given.settings)
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
-    more = () if bag is None else (_bag_output(bag, recorded, video, force),)
+    more = () if bag is None else (_bag_output(bag, recorded, view if video else None, force),)
     options = RunOptions(
         out, _ego_poses(ego), save_points, video, force, first, last, masks, more,
-        given.mask_files, threads,
+        given.mask_files, threads, view, preview=not no_report,
     )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with interruptible(NOTHING_WRITTEN):
@@ -179,6 +185,8 @@ def run(
     rate = written / max(summary.wall_seconds, 1e-9)
     took = f"{summary.wall_seconds:.1f} s ({rate:.1f} frames/s)"
     typer.echo(printable(f"{written} frames in {took} -> {out}"))
+    if not no_report:
+        report_of_run(out)
 
 
 @app.command()
@@ -286,6 +294,7 @@ def batch(
         raise typer.Exit(EXIT_FAILED)
 
 
+app.command()(report)
 app.command()(doctor)
 app.command()(calibrate)
 app.command()(ros)
@@ -317,12 +326,14 @@ def settings() -> None:
 
 
 def _bag_output(
-    path: Path, recorded: RecordedSequence, video: bool, force: bool
+    path: Path, recorded: RecordedSequence, view: ovmot.View | None, force: bool
 ) -> Callable[[ovmot.RunContext], ovmot.Output]:
     read, written = recorded.root.resolve(), path.resolve()
     if recorded.kind == "bag" and read in (written, *written.parents):
         raise InputError.at(path, "is the bag that is read", "choose another name with --bag")
-    return lambda context: BagOutput(path, context.rig, overlay=video, replace=force)
+    return lambda context: BagOutput(
+        path, context.rig, overlay=view is not None, view=view or "objects", replace=force
+    )
 
 
 def _ego_poses(ego: tuple[str, Path] | None) -> Path | None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ovmot import DATASETS, PRESETS
+from ovmot import DATASETS, PRESETS, View
 
 FormatOption = Annotated[
     str | None, typer.Option(help=f"Kind of data: {', '.join(DATASETS)}; else recognised.")
@@ -39,6 +39,12 @@ ImuOption = Annotated[
 ]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="One setting: section.key=value; repeatable.")
+]
+ViewOption = Annotated[
+    View,
+    typer.Option(
+        help="What overlays show: moving objects, the stereo check, the test of dynamic points."
+    ),
 ]
 
 

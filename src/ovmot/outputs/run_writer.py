@@ -13,6 +13,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.kalibr import CHAIN_FILE
 from ovmot.errors import InputError, OvmotError
 from ovmot.outputs.kitti_tracks import KittiTracks
+from ovmot.outputs.preview import PREVIEW_FILE, PreviewFile
 from ovmot.outputs.run_json import PARTIAL_RUN_JSON, RUN_JSON
 from ovmot.outputs.tables import (
     CalibrationTable,
@@ -25,6 +26,7 @@ from ovmot.outputs.tables import (
     TrajectoryTable,
 )
 from ovmot.outputs.video import OverlayVideo
+from ovmot.outputs.views import View
 from ovmot.types import FrameResult
 
 
@@ -44,12 +46,14 @@ class Output(Protocol):
 class RunContext:
     """What outputs know of the run.
 
-    The rig, the names of the stages if known, and the number of each stamp's frame.
+    The rig, the names of the stages if known, the number of each stamp's frame, and the view that
+    overlays show.
     """
 
     rig: StereoRig
     stages: tuple[str, ...] = ()
     frame_number: Mapping[int, int] = field(default_factory=dict)
+    view: View = "objects"
 
 
 OutputFactory = Callable[[Path, RunContext], Output]
@@ -66,7 +70,8 @@ OUTPUTS: dict[str, OutputFactory] = {
     "timing.csv": lambda path, context: TimingTable(path, context.stages),
     "points.csv": lambda path, _: PointsTable(path),
     "stereo.csv": lambda path, _: StereoTable(path),
-    "overlay.mp4": lambda path, context: OverlayVideo(path, context.rig),
+    "overlay.mp4": lambda path, context: OverlayVideo(path, context.rig, context.view),
+    PREVIEW_FILE: lambda path, context: PreviewFile(path, context.rig.cam0),
 }
 
 _ALWAYS = ("trajectory.tum", "state.csv", "covariance.csv", "tracks.csv", "timing.csv")
@@ -74,6 +79,7 @@ _OBJECTS = ("objects_kitti.txt",)
 _CALIBRATION = ("calibration.csv",)
 _POINTS = ("points.csv", "stereo.csv")
 _VIDEO = ("overlay.mp4",)
+_PREVIEW = (PREVIEW_FILE,)
 EVALUATION_FILES = ("metrics.json", "ego_error.png", "nees.png", "map.png")
 """What `ovmot evaluate` adds to a run; a new run in the folder removes them."""
 
@@ -140,6 +146,8 @@ def open_outputs(
     rig: StereoRig,
     save_points: bool = False,
     video: bool = False,
+    view: View = "objects",
+    preview: bool = False,
     force: bool = False,
     stages: Sequence[str] = (),
     calibration: bool = False,
@@ -150,7 +158,7 @@ def open_outputs(
 
     `stages` are the columns of `timing.csv`; without them the first frame's are taken.
     `frame_number` gives the number of each stamp (ns) in the sequence; None where no objects are
-    tracked, which leaves `objects_kitti.txt` out. `more` makes outputs beyond the folder. Raises
+    tracked, which leaves `objects_kitti.txt` out. `view` is what overlays show. `more` makes outputs beyond the folder. Raises
     `InputError` where the folder holds a run already (unless `force`, which removes that run's
     files and nothing else) or cannot be written into.
     """
@@ -161,8 +169,9 @@ def open_outputs(
         *(_CALIBRATION if calibration else ()),
         *(_POINTS if save_points else ()),
         *(_VIDEO if video else ()),
+        *(_PREVIEW if preview else ()),
     )
-    context = RunContext(rig, tuple(stages), frame_number or {})
+    context = RunContext(rig, tuple(stages), frame_number or {}, view)
     opened: list[Output] = []
     try:
         for make in more:  # first: where one is refused, the folder is as it was

@@ -5,7 +5,7 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, Image
-from ovmot.outputs import drawing
+from ovmot.outputs import drawing, palette
 from ovmot.types import StereoFrame, StereoMatches
 
 _OUTLIER_REACH_PX = 60.0
@@ -14,42 +14,44 @@ _SAMPLES = 13  # along a line, which the distortion bends into a curve
 
 
 def draw_stereo(
-    frame: StereoFrame, matches: StereoMatches, rig: StereoRig, scale: float = 1.0
+    frame: StereoFrame, matches: StereoMatches, rig: StereoRig, seconds: float, scale: float = 1.0
 ) -> Image:
     """Left and right image side by side with every stereo match tested (BGR); the left one alone
     where there is no other.
 
     Accepted points are blue, refused ones red, in both images. In the right one each point has
     its epipolar line in red (full and bright for the refused, short and dark for the accepted)
-    and its distance to that line, pixels, in green. Pixels are enlarged by `scale`.
+    and its distance to that line, pixels, in green, where there is room for it: first those of the
+    refused. `seconds` is the frame's time since the start. Pixels are enlarged by `scale`.
     """
     left = drawing.backdrop(frame.left, scale)
     if frame.right is None:
-        drawing.caption(left, [(f"t {1e-9 * frame.timestamp_ns:.3f} s", drawing.WHITE)])
+        drawing.caption(left, [(f"{seconds:.1f} s", palette.WHITE)])
         return left
     right = drawing.backdrop(frame.right, scale)
     p_left, p_right = matches.pixels[:, :2], matches.pixels[:, 2:]
     good, bad = matches.accepted, ~matches.accepted
     for which, reach, color in (
-        (good, _INLIER_REACH_PX, drawing.DARK_RED),
-        (bad, _OUTLIER_REACH_PX, drawing.RED),
+        (good, _INLIER_REACH_PX, palette.DARK_RED),
+        (bad, _OUTLIER_REACH_PX, palette.RED),
     ):
         curves = epipolar_curves(p_right[which], matches.line[which], rig.cam1, reach)
         drawing.curves(right, curves, color, scale)
-    words = ["" if np.isnan(d) else f"{d:.1f}" for d in matches.distance_px.tolist()]
-    drawing.texts(right, p_right, words, drawing.GREEN, scale)
-    for which, color in ((good, drawing.BLUE), (bad, drawing.RED)):
+    for which, color in ((good, palette.BLUE), (bad, palette.RED)):
         drawing.dots(left, p_left[which], color, scale)
         drawing.dots(right, p_right[which], color, scale)
+    farthest = np.argsort(-np.nan_to_num(matches.distance_px))  # these get the room there is
+    words = [f"{d:.1f}" if d == d else "" for d in matches.distance_px[farthest].tolist()]
+    drawing.texts(right, p_right[farthest], words, palette.GREEN, scale, reach=0)
     drawing.caption(
         left,
         [
-            (f"t {1e-9 * frame.timestamp_ns:.3f} s", drawing.WHITE),
-            (f"{np.count_nonzero(good)} accepted", drawing.BLUE),
-            (f"{np.count_nonzero(bad)} refused", drawing.RED),
+            (f"{seconds:.1f} s", palette.WHITE),
+            (f"{np.count_nonzero(good)} accepted", palette.BLUE),
+            (f"{np.count_nonzero(bad)} refused", palette.RED),
         ],
     )
-    drawing.caption(right, [("line", drawing.RED), ("distance px", drawing.GREEN)])
+    drawing.caption(right, [("line", palette.RED), ("distance px", palette.GREEN)])
     return np.hstack([left, right])
 
 

@@ -1,8 +1,11 @@
-"""`overlay.mp4`: both overlays of every frame, encoded in the background."""
+"""`overlay.mp4`: a view of every frame, drawn and encoded in a process of its own."""
 
 import queue
 import threading
+from collections.abc import Iterator
+from dataclasses import replace
 from fractions import Fraction
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import av
@@ -13,70 +16,43 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import Image
-from ovmot.outputs.dynamic_overlay import draw_dynamic
-from ovmot.outputs.stereo_overlay import draw_stereo
-from ovmot.outputs.tracks_overlay import Trails, draw_tracks
-from ovmot.types import FeatureFrame, FrameResult
+from ovmot.outputs.trails import Trails
+from ovmot.outputs.views import View, draw_view
+from ovmot.runtime import HelperProcess
+from ovmot.types import FrameResult, StereoFrame
 
-_MAX_WIDTH = 1920
 _TICKS_PER_S = 90_000
 _NS_PER_S = 1_000_000_000
-_WAITING_FRAMES = 8
+_WAITING_FRAMES = 16
 _BT601, _LIMITED_RANGE = 6, 1  # what `COLOR_BGR2YUV_I420` makes; numbers of ITU-T H.273
 _FRAGMENTED = "+frag_keyframe+delay_moov+default_base_moof"
 _OPTIONS = {"preset": "superfast", "crf": "23"}
 
 
-def compose(result: FrameResult, rig: StereoRig, trails: Trails = Trails()) -> Image:  # noqa: B008 - frozen
-    """One image of even size (BGR): the stereo overlay, below it the dynamic one as wide.
-
-    The latter also shows the confirmed tracks and their past paths, `trails`.
-
-    It is twice as wide as an image, but no wider than 1920 pixels. Raises `OvmotError` for a frame
-    without images.
-    """
-    frame = result.frame
-    if isinstance(frame, FeatureFrame):
-        raise OvmotError(f"frame {frame.timestamp_ns}: no images to draw on")
-    image_width = frame.left.shape[1]
-    width = min(2 * image_width, _MAX_WIDTH)
-    upper = draw_stereo(frame, result.matches, rig, width / (2 * image_width))
-    scale = width / image_width
-    lower = draw_dynamic(frame, result.points, scale)
-    T_cam0_world = se3.inverse(result.ego.T_world_imu @ result.ego.T_imu_cam0)
-    draw_tracks(lower, result.tracks, trails, T_cam0_world, rig.cam0, scale)
-    height = upper.shape[0] + lower.shape[0]
-    canvas = np.zeros((height + height % 2, width, 3), dtype=np.uint8)
-    for image, top in ((upper, 0), (lower, upper.shape[0])):
-        across = min(width, image.shape[1])  # rounding may make a scaled one a pixel wider
-        canvas[top : top + image.shape[0], :across] = image[:, :across]
-    return canvas
-
-
 class OverlayVideo:
-    """Draws and encodes results in a thread of its own; `write` waits only where that thread is
-    behind.
+    """Hands results to another process that draws and encodes them.
 
-    What goes wrong there is raised by the next `write`, or by `close`. A run without frames
-    leaves no file.
+    A thread feeds that process, so that `write` waits only where 16 frames wait already. What goes
+    wrong there is raised by the next `write`, or by `close`. A run without frames leaves no file.
     """
 
-    def __init__(self, path: Path, rig: StereoRig) -> None:
+    def __init__(self, path: Path, rig: StereoRig, view: View = "objects") -> None:
         self._path = path
-        self._rig = rig
+        self._view = view
+        self._process = HelperProcess("ovmot.outputs.video", "serve")
         self._queue: queue.Queue[FrameResult | None] = queue.Queue(_WAITING_FRAMES)
         self._failure: Exception | None = None
         self._closed = False
-        self._ended = False  # the worker knows that nothing more comes
-        self._thread = threading.Thread(target=self._work, name="overlay", daemon=True)
+        self._thread = threading.Thread(
+            target=self._feed, args=((str(path), rig, view),), name="overlay", daemon=True
+        )
         self._thread.start()
 
     def write(self, result: FrameResult) -> None:
         """Hand over one result; raises `OvmotError` where an earlier one could not be written."""
         self._raise_failure()
-        self._queue.put(result)
+        self._queue.put(_drawn_of(result, self._view))
 
     def close(self) -> None:
         """Encode what still waits and end the file; a second call does nothing."""
@@ -85,6 +61,7 @@ class OverlayVideo:
         self._closed = True
         self._queue.put(None)
         self._thread.join()
+        self._process.close()
         self._raise_failure()
 
     def _raise_failure(self) -> None:
@@ -92,43 +69,81 @@ class OverlayVideo:
         if failure is not None:
             raise failure
 
-    def _work(self) -> None:
+    def _feed(self, start: tuple[str, StereoRig, View]) -> None:
+        """Send what comes; at the end, or where the process does not take more, get its answer."""
+        ended = False
         try:
-            self._encode_all()
-        except (OSError, av.error.FFmpegError) as error:
-            self._failure = OvmotError(
-                f"{self._path}: cannot write the video: {error.strerror or error}"
-            )
-        except Exception as error:
-            self._failure = error
-        while not self._ended:  # after a failure, so that nobody waits for a full queue
-            self._next()
+            self._process.requests.send(start)
+            while not ended:
+                result = self._queue.get()
+                ended = result is None
+                self._process.requests.send(result)
+        except OSError:
+            pass  # it has ended, and its answer says why
+        try:
+            self._failure = self._process.replies.recv()
+        except (EOFError, OSError):
+            self._failure = OvmotError(f"{self._path}: the process that writes the video has died")
+        while not ended:  # so that nobody waits for a full queue
+            ended = self._queue.get() is None
 
-    def _next(self) -> FrameResult | None:
-        result = self._queue.get()
-        self._ended = result is None
+
+def serve(requests: Connection, replies: Connection) -> None:
+    """The other process: draw and encode results until None comes, and say how that went.
+
+    The answer is None, or the exception.
+    """
+    path, rig, view = requests.recv()
+    failure: Exception | None = None
+    try:
+        _encode_all(Path(path), rig, view, _received(requests))
+    except (OSError, av.error.FFmpegError) as error:
+        failure = OvmotError(f"{path}: cannot write the video: {error.strerror or error}")
+    except Exception as error:
+        failure = error
+    replies.send(failure)
+
+
+def _received(requests: Connection) -> Iterator[FrameResult]:
+    """The results up to None, or to the end of the process that sends them."""
+    try:
+        while (result := requests.recv()) is not None:
+            yield result
+    except EOFError:
+        return
+
+
+def _drawn_of(result: FrameResult, view: View) -> FrameResult:
+    """The result without images that the view does not show: they need not be sent."""
+    frame = result.frame
+    if not isinstance(frame, StereoFrame):
         return result
+    right = frame.right if view in ("stereo", "all") else None
+    return replace(result, frame=replace(frame, right=right, left_mask=None, right_mask=None))
 
-    def _encode_all(self) -> None:
-        """One frame is held back: the time to the second one is the stream's nominal rate."""
-        first = self._next()
-        if first is None:
-            return
-        second = self._next()
-        gap_ns = second.timestamp_ns - first.timestamp_ns if second else _NS_PER_S // 10
-        trails = Trails().extended(first)
-        image = compose(first, self._rig, trails)
-        encoder = _Encoder(self._path, image.shape[1], image.shape[0], gap_ns)
-        try:
-            encoder.encode(image, 0)
-            following = second
-            while following is not None:
-                elapsed_ns = following.timestamp_ns - first.timestamp_ns
-                trails = trails.extended(following)
-                encoder.encode(compose(following, self._rig, trails), elapsed_ns)
-                following = self._next()
-        finally:
-            encoder.close()
+
+def _encode_all(
+    path: Path, rig: StereoRig, view: View, results: Iterator[FrameResult]
+) -> None:
+    """One frame is held back: the time to the second one is the stream's nominal rate."""
+    first = next(results, None)
+    if first is None:
+        return
+    second = next(results, None)
+    gap_ns = second.timestamp_ns - first.timestamp_ns if second else _NS_PER_S // 10
+    trails = Trails().extended(first)
+    image = draw_view(view, first, rig, trails)
+    encoder = _Encoder(path, image.shape[1], image.shape[0], gap_ns)
+    try:
+        encoder.encode(image, 0)
+        following = second
+        while following is not None:
+            elapsed_ns = following.timestamp_ns - first.timestamp_ns
+            trails = trails.extended(following)
+            encoder.encode(draw_view(view, following, rig, trails), elapsed_ns)
+            following = next(results, None)
+    finally:
+        encoder.close()
 
 
 class _Encoder:

@@ -7,8 +7,8 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.stream import events
-from ovmot.outputs.tracks_overlay import Trails
-from ovmot.outputs.video import compose
+from ovmot.outputs.trails import Trails
+from ovmot.outputs.views import View, draw_view
 from ovmot.ros.bag_writer import BagWriter
 from ovmot.ros.messages import PathSoFar, frame_messages, overlay_message
 from ovmot.ros.values import Message, Published, header, image, vector
@@ -18,15 +18,22 @@ from ovmot.types import FrameResult, ImuSample, StereoFrame
 class BagOutput:
     """The messages that a live node would publish, as an output of a run (`run_writer.Output`).
 
-    `overlay` adds the frames of the video, as JPEG.
+    `overlay` adds the frames of the video, which show `view`, as JPEG.
     """
 
     def __init__(
-        self, path: Path, rig: StereoRig, *, overlay: bool = False, replace: bool = False
+        self,
+        path: Path,
+        rig: StereoRig,
+        *,
+        overlay: bool = False,
+        view: View = "objects",
+        replace: bool = False,
     ) -> None:
         """Start the bag; raises `InputError` as `BagWriter`."""
         self._rig = rig
         self._overlay = overlay
+        self._view = view
         self._path = PathSoFar()
         self._trails = Trails()
         self._bag = BagWriter(path, replace=replace)
@@ -36,7 +43,7 @@ class BagOutput:
         said = frame_messages(result, self._path, self._rig)
         if self._overlay and isinstance(result.frame, StereoFrame):
             self._trails = self._trails.extended(result)
-            overlay = compose(result, self._rig, self._trails)
+            overlay = draw_view(self._view, result, self._rig, self._trails)
             said.append(overlay_message(result.timestamp_ns, overlay))
         for published in said:
             self._bag.write(published, result.timestamp_ns)

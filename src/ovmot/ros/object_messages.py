@@ -6,7 +6,7 @@ import numpy as np
 
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.outputs.drawing import color_of
+from ovmot.outputs.palette import color_of
 from ovmot.ros.values import Message, Value, header, point, pose, vector
 from ovmot.types import ObjectTrack
 

@@ -15,8 +15,8 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.bag.images import stored_image
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.geometry.arrays import Image
-from ovmot.outputs.tracks_overlay import Trails
-from ovmot.outputs.video import compose
+from ovmot.outputs.trails import Trails
+from ovmot.outputs.views import draw_view
 from ovmot.ros.intake import Batch, Intake, WaitingPair
 from ovmot.ros.messages import (
     OVERLAY,
@@ -192,7 +192,7 @@ class Session:
     def _publish_overlay(self, result: FrameResult) -> None:
         self._trails = self._trails.extended(result)
         if self._sink.wanted(OVERLAY):
-            overlay = compose(result, self._rig, self._trails)
+            overlay = draw_view("objects", result, self._rig, self._trails)
             self._sink.send(overlay_message(result.timestamp_ns, overlay, self._names))
 
     def _say_why_not_started(self) -> None:

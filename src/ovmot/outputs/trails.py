@@ -1,14 +1,12 @@
-"""Overlay of the tracks: 2-D and 3-D box, id, speed and past path of each."""
+"""Past paths and boxes of the tracks, and what of them a camera sees."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray, Image
-from ovmot.outputs import drawing
+from ovmot.geometry.arrays import FloatArray
 from ovmot.types import FrameResult, ObjectTrack
 
 TRAIL_S = 4.0
@@ -25,10 +23,12 @@ _FRONT = np.array([(4, 7), (5, 6)])  # a cross on the side that the body moves t
 class Trails:
     """Past positions of the confirmed tracks: times (ns) and positions in the world, last seconds.
 
-    `segment` is the run's: positions before a restart belong to another world.
+    `segment` is the run's: positions before a restart belong to another world. `start_ns` is the
+    stamp of the first frame.
     """
 
     segment: int = 0
+    start_ns: int | None = None
     points: dict[int, tuple[tuple[int, FloatArray], ...]] = field(default_factory=dict)
 
     def extended(self, result: FrameResult) -> "Trails":
@@ -42,7 +42,12 @@ class Trails:
             new = ((result.timestamp_ns, now[track_id]),) if track_id in now else ()
             if kept or new:
                 points[track_id] = (*kept, *new)
-        return Trails(result.segment, points)
+        start_ns = result.timestamp_ns if self.start_ns is None else self.start_ns
+        return Trails(result.segment, start_ns, points)
+
+    def seconds(self, timestamp_ns: int) -> float:
+        """Seconds since the first frame."""
+        return 0.0 if self.start_ns is None else 1e-9 * (timestamp_ns - self.start_ns)
 
     def of(self, track_id: int) -> FloatArray:
         """Positions (K, 3) of a track, the oldest first."""
@@ -50,33 +55,10 @@ class Trails:
         return np.array(positions, dtype=np.float64).reshape(-1, 3)
 
 
-def draw_tracks(
-    image: Image,
-    tracks: Sequence[ObjectTrack],
-    trails: Trails,
-    T_cam0_world: FloatArray,
-    camera: Camera,
-    scale: float = 1.0,
-) -> None:
-    """Draw the confirmed tracks into an image `scale` times as large as the left image.
-
-    Each has a colour of its own: the box of its points in the image (dark) and its 3-D box, with
-    a cross on the side it moves towards, the way it came, its id and its speed. `T_cam0_world`
-    (4, 4) is the corrected pose; what is behind the camera or beyond the camera model is cut off.
-    """
-    shown = [track for track in tracks if track.state == "confirmed"]
-    for track in shown:
-        color = drawing.color_of(track.track_id)
-        trail = trails.of(track.track_id)
-        ways = np.stack([trail[:-1], trail[1:]], axis=1)
-        ways = ways[np.linalg.norm(ways[:, 1] - ways[:, 0], axis=1) < _MOST_GAP_M]
-        if np.isfinite(track.box_px).all():
-            drawing.rectangle(image, track.box_px, drawing.dimmed(color), scale)
-        for ends in (ways, body_edges(track)):
-            drawing.curves(image, seen_pieces(ends, T_cam0_world, camera), color, scale)
-    for track in shown:  # above all lines
-        words = f"#{track.track_id}  {np.linalg.norm(track.velocity):.1f} m/s"
-        drawing.label(image, track.box_px[:2], words, drawing.color_of(track.track_id), scale)
+def moved_ways(trail: FloatArray) -> FloatArray:
+    """The steps (M, 2, 3) between successive positions (K, 3) of a trail, without jumps."""
+    ways = np.stack([trail[:-1], trail[1:]], axis=1)
+    return np.asarray(ways[np.linalg.norm(ways[:, 1] - ways[:, 0], axis=1) < _MOST_GAP_M])
 
 
 def body_edges(track: ObjectTrack) -> FloatArray:

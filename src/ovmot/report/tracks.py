@@ -1,0 +1,142 @@
+"""The objects of a run: their paths for the map, and a row for each of them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.outputs.finished_run import Rows
+from ovmot.report.numbers import listed, number
+from ovmot.report.world import Placed
+from ovmot.types import ObjectTrack
+
+_CLASSES = ("walker", "cyclist", "vehicle")
+_SURE = 0.5  # a class is named that is more probable than all others together
+_MOST_ROWS = 40_000  # of all paths: some megabytes
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The confirmed rows of one track, and its class in a word, empty where none is sure."""
+
+    track_id: int
+    rows: Rows
+    kind: str
+
+    @property
+    def speed(self) -> FloatArray:
+        """Speed (N,), m/s."""
+        return np.linalg.norm(columns(self.rows, "vx", "vy", "vz"), axis=1)
+
+
+def paths_of(tracks: Rows) -> tuple[Path, ...]:
+    """The confirmed tracks in order of their ids."""
+    if len(tracks) == 0:
+        return ()
+    confirmed = tracks[tracks["state"] == "confirmed"]
+    order = np.argsort(confirmed["track_id"], kind="stable")
+    sorted_rows = confirmed[order]
+    ids, starts = np.unique(sorted_rows["track_id"], return_index=True)
+    parts = np.split(sorted_rows, starts[1:]) if len(ids) else []
+    return tuple(
+        Path(int(track_id), rows, kind_of(rows))
+        for track_id, rows in zip(ids, parts, strict=True)
+    )  # fmt: skip
+
+
+def kind_of(rows: Rows) -> str:
+    """The class that the rows of a track give most probability to; empty where none is sure."""
+    names = rows.dtype.names or ()
+    if any(f"p_{kind}" not in names for kind in _CLASSES):
+        return ""
+    mean = np.array([float(np.mean(rows[f"p_{kind}"])) for kind in _CLASSES])
+    best = int(np.argmax(np.nan_to_num(mean)))
+    return _CLASSES[best] if mean[best] > _SURE else ""
+
+
+def columns(rows: Rows, *names: str) -> FloatArray:
+    """Columns (N, K) of a table."""
+    return np.stack([rows[name].astype(np.float64) for name in names], axis=1)
+
+
+def object_tracks(rows: Rows) -> tuple[ObjectTrack, ...]:
+    """The rows of one frame as the overlay takes them."""
+    return tuple(
+        ObjectTrack(
+            int(row["track_id"]), str(row["state"]), _vector(row, "x", "y", "z"),
+            _vector(row, "vx", "vy", "vz"), float(row["yaw"]), float(row["yaw_rate"]),
+            _vector(row, "length", "width", "height"),
+            _vector(row, "u_min", "v_min", "u_max", "v_max"), int(row["n_points"]),
+            _vector(row, "std_x", "std_y", "std_z"), _vector(row, "std_vx", "std_vy", "std_vz"),
+        )
+        for row in rows
+    )  # fmt: skip
+
+
+def map_paths(paths: tuple[Path, ...], placed: Placed, frames: IntArray) -> list[dict[str, Any]]:
+    """Paths in the page's world at the grid of frames (stamps (N,), ns): for map and plots.
+
+    `at` are indices into that grid. The longest ones come, up to some megabytes.
+    """
+    shown, left = [], _MOST_ROWS
+    for path in sorted(paths, key=lambda p: -len(p.rows)):
+        at = np.searchsorted(frames, path.rows["timestamp_ns"])
+        there = (at < len(frames)) & (
+            frames[np.minimum(at, len(frames) - 1)] == path.rows["timestamp_ns"]
+        )
+        left -= int(there.sum())
+        if left < 0:
+            break
+        shown.append(_map_path(path, path.rows[there], path.speed[there], at[there], placed))
+    return sorted(shown, key=lambda entry: int(entry["id"]))
+
+
+def object_rows(
+    paths: tuple[Path, ...], ego: FloatArray, start_ns: int, frame_ns: IntArray
+) -> list[dict[str, Any]]:
+    """A row of numbers for each object; `ego` (N, 3) is the rig in the run's world at `frame_ns`.
+
+    Times are seconds since `start_ns`.
+    """
+    return [_object_row(path, ego, start_ns, frame_ns) for path in paths]
+
+
+def _object_row(path: Path, ego: FloatArray, start_ns: int, frame_ns: IntArray) -> dict[str, Any]:
+    stamps, speed = path.rows["timestamp_ns"], path.speed
+    at = np.minimum(np.searchsorted(frame_ns, stamps), len(frame_ns) - 1)
+    distance = np.linalg.norm(columns(path.rows, "x", "y", "z") - ego[at], axis=1)
+    size = np.median(columns(path.rows, "length", "width", "height"), axis=0)
+    return {
+        "id": path.track_id,
+        "kind": path.kind,
+        "first": number(1e-9 * (stamps[0] - start_ns), 2),
+        "seconds": number(1e-9 * (stamps[-1] - stamps[0]), 2),
+        "frames": len(stamps),
+        "speed": number(float(np.median(speed)), 2),
+        "fastest": number(float(speed.max()), 2),
+        "nearest": number(float(distance.min()), 1),
+        "size": listed(size, 1),
+        "points": number(float(np.median(path.rows["n_points"])), 0),
+    }
+
+
+def _map_path(
+    path: Path, rows: Rows, speed: FloatArray, at: IntArray, placed: Placed
+) -> dict[str, Any]:
+    position = placed.positions(columns(rows, "x", "y", "z"))
+    return {
+        "id": path.track_id,
+        "kind": path.kind,
+        "at": at.tolist(),
+        "x": listed(position[:, 0], 2),
+        "y": listed(position[:, 1], 2),
+        "yaw": listed(placed.yaw(rows["yaw"]), 3),
+        "length": listed(rows["length"], 2),
+        "width": listed(rows["width"], 2),
+        "speed": listed(speed, 2),
+    }
+
+
+def _vector(row: np.void, *names: str) -> FloatArray:
+    return np.array([float(row[name]) for name in names])
