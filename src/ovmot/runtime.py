@@ -157,6 +157,10 @@ class HelperProcess:
         self.replies = Connection(here_in, writable=False)
         self.requests = Connection(here_out, readable=False)
 
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
     def close(self) -> None:
         """Let it finish what it has been sent, and wait for that; a second call does nothing."""
         self.requests.close()

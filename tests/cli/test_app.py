@@ -184,9 +184,9 @@ def test_the_bag_that_is_read_is_not_written_over(tmp_path: Path, name: str) -> 
     (tmp_path / "drive").mkdir()
     read: Any = SimpleNamespace(kind="bag", root=tmp_path / "drive")
     with pytest.raises(InputError, match="is the bag that is read"):
-        cli._bag_output(tmp_path / name, read, False, True)
+        cli._bag_output(tmp_path / name, read, None, True)
     folder: Any = SimpleNamespace(kind="euroc", root=tmp_path / "drive")
-    cli._bag_output(tmp_path / name, folder, False, True)  # no complaint
+    cli._bag_output(tmp_path / name, folder, None, True)  # no complaint
 
 
 def test_an_existing_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_files_of_a_run(tmp_path: Path, rig: StereoRig, make_result: Maker) -> N
     with open_outputs(out, rig=rig):
         assert names(out) == ALWAYS
     with open_outputs(
-        tmp_path / "full", rig=rig, save_points=True, video=True, calibration=True,
+        tmp_path / "full", rig=rig, save_points=True, video=True, preview=True, calibration=True,
         frame_number={0: 0, 1: 1},
     ) as writer:  # fmt: skip
         writer.write(make_result(0))
@@ -171,7 +171,7 @@ def test_a_refused_output_leaves_the_folder_as_it_was(
 def test_two_runs_give_the_same_bytes(tmp_path: Path, rig: StereoRig, make_result: Maker) -> None:
     for name in ("a", "b"):
         with open_outputs(
-            tmp_path / name, rig=rig, save_points=True, video=True, calibration=True,
+            tmp_path / name, rig=rig, save_points=True, video=True, preview=True, calibration=True,
             frame_number={stamp: k for k, stamp in enumerate(range(0, 10**9, 10**8))},
         ) as writer:  # fmt: skip
             for stamp in range(0, 10**9, 10**8):

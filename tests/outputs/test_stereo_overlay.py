@@ -1,10 +1,10 @@
 import numpy as np
-from overlay_checks import Maker, color_at, distance_to_polyline, has_color, images_of, text_area
+from overlay_checks import Maker, color_at, distance_to_polyline, has_words, images_of, text_area
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
-from ovmot.outputs import drawing
+from ovmot.outputs import palette
 from ovmot.outputs.stereo_overlay import draw_stereo, epipolar_curves
 
 
@@ -12,28 +12,28 @@ def test_stereo_points_have_their_colours_in_both_images(
     rig: StereoRig, make_result: Maker
 ) -> None:
     result = make_result(0)
-    image = draw_stereo(images_of(result), result.matches, rig)
+    image = draw_stereo(images_of(result), result.matches, rig, 0.0)
     assert image.shape == (160, 480, 3)
-    assert color_at(image, 60, 60) == drawing.BLUE
-    assert color_at(image, 240 + 100, 70) == drawing.BLUE
-    assert color_at(image, 200, 130) == drawing.RED
-    assert color_at(image, 240 + 120, 120) == drawing.RED
-    assert drawing.BLUE[0] > 2 * max(drawing.BLUE[1:])
+    assert color_at(image, 60, 60) == palette.BLUE
+    assert color_at(image, 240 + 100, 70) == palette.BLUE
+    assert color_at(image, 200, 130) == palette.RED
+    assert color_at(image, 240 + 120, 120) == palette.RED
+    assert palette.BLUE[0] > 2 * max(palette.BLUE[1:])
 
 
 def test_stereo_distances_are_green_in_the_right_image(rig: StereoRig, make_result: Maker) -> None:
     result = make_result(0)
-    image = draw_stereo(images_of(result), result.matches, rig)
-    assert has_color(text_area(image, 240 + 100, 70), drawing.GREEN)
-    assert has_color(text_area(image, 240 + 120, 120), drawing.GREEN)
-    assert not has_color(image[20:, :240], drawing.GREEN)
+    image = draw_stereo(images_of(result), result.matches, rig, 0.0)
+    assert has_words(text_area(image, 240 + 100, 70), palette.GREEN)
+    assert has_words(text_area(image, 240 + 120, 120), palette.GREEN)
+    assert not has_words(image[20:, :240], palette.GREEN)
 
 
 def test_an_outlier_s_line_is_drawn_where_the_geometry_puts_it(
     rig: StereoRig, make_result: Maker
 ) -> None:
     result = make_result(0)
-    image = draw_stereo(images_of(result), result.matches, rig)
+    image = draw_stereo(images_of(result), result.matches, rig, 0.0)
     for x in (-0.25, 0.2):  # the refused match has the line y = 0.3, off its point
         u, v = rig.cam1.denormalize(np.array([x, 0.3]))
         blue, green, red = color_at(image, 240 + u, v)

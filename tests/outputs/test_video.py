@@ -9,17 +9,19 @@ import pytest
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.outputs import video
-from ovmot.outputs.tracks_overlay import Trails
-from ovmot.outputs.video import OverlayVideo, compose
-from ovmot.types import FrameResult, StereoFrame
+from ovmot.outputs.trails import Trails
+from ovmot.outputs.video import OverlayVideo
+from ovmot.outputs.views import VIEW_NAMES, View, draw_view
+from ovmot.types import FeatureFrame, FrameResult, StereoFrame
 
 Maker = Callable[[int], FrameResult]
 STAMPS = (0, 50_000_000, 100_000_000, 250_000_000, 300_000_000)
 
 
-def write_video(path: Path, rig: StereoRig, results: list[FrameResult]) -> None:
-    output = OverlayVideo(path, rig)
+def write_video(
+    path: Path, rig: StereoRig, results: list[FrameResult], view: View = "objects"
+) -> None:
+    output = OverlayVideo(path, rig, view)
     for result in results:
         output.write(result)
     output.close()
@@ -32,12 +34,13 @@ def textured(result: FrameResult, size: tuple[int, int] = (160, 240)) -> FrameRe
     return replace(result, frame=StereoFrame(result.timestamp_ns, grey, grey))
 
 
+@pytest.mark.parametrize("view", VIEW_NAMES)
 def test_what_is_decoded_is_what_was_drawn(
-    tmp_path: Path, rig: StereoRig, make_result: Maker
+    tmp_path: Path, rig: StereoRig, make_result: Maker, view: View
 ) -> None:
     path = tmp_path / "overlay.mp4"
     results = [textured(make_result(stamp)) for stamp in STAMPS]
-    write_video(path, rig, results)
+    write_video(path, rig, results, view)
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         assert stream.codec_context.name == "h264"
@@ -47,9 +50,9 @@ def test_what_is_decoded_is_what_was_drawn(
     assert [frame.time for frame in frames] == pytest.approx([1e-9 * s for s in STAMPS], abs=1e-4)
     trails = Trails()
     for frame, result in zip(frames, results, strict=True):
-        expected = compose(result, rig, trails := trails.extended(result))
+        expected = draw_view(view, result, rig, trails := trails.extended(result))
         decoded = frame.to_ndarray(format="bgr24")
-        assert decoded.shape == expected.shape == (480, 480, 3)
+        assert decoded.shape == expected.shape
         assert np.mean(np.abs(decoded.astype(float) - expected)) < 6.0
 
 
@@ -71,24 +74,6 @@ def test_short_runs(tmp_path: Path, rig: StereoRig, make_result: Maker, n_frames
         return
     with av.open(str(path)) as container:
         assert len(list(container.decode(video=0))) == n_frames
-
-
-@pytest.mark.parametrize(
-    ("size", "canvas"),
-    [
-        ((43, 65), (130, 130)),  # 43 + 86 rows, made even
-        ((280, 640), (840, 1280)),
-        ((560, 1280), (1260, 1920)),  # no wider than 1920
-        ((375, 1242), (870, 1920)),
-        ((401, 1281), (902, 1920)),
-    ],
-)
-def test_canvas_is_even_and_holds_both_images(
-    rig: StereoRig, make_result: Maker, size: tuple[int, int], canvas: tuple[int, int]
-) -> None:
-    image = compose(textured(make_result(0), size), rig)
-    assert image.shape == (*canvas, 3)
-    assert image[-3, -3].any()
 
 
 def test_full_disk_is_reported_and_what_was_written_can_be_played(
@@ -117,22 +102,33 @@ def test_full_disk_is_reported_and_what_was_written_can_be_played(
 
 
 def test_a_failure_in_the_background_comes_out_once_and_nobody_hangs(
-    tmp_path: Path, rig: StereoRig, make_result: Maker, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, rig: StereoRig, make_result: Maker
 ) -> None:
-    def fail(result: FrameResult, rig: StereoRig, trails: Trails) -> None:
-        raise ValueError("cannot draw")
-
-    monkeypatch.setattr(video, "compose", fail)
     output = OverlayVideo(tmp_path / "overlay.mp4", rig)
+    without_images = FeatureFrame(0, np.empty(0, np.int64), np.empty((0, 4)))
 
     def write_many() -> None:
-        for stamp in range(100):  # many more than may wait
+        output.write(replace(make_result(0), frame=without_images))
+        for stamp in range(1, 100):  # many more than may wait
             output.write(make_result(stamp))
         output.close()
 
-    with pytest.raises(ValueError, match="cannot draw"):
+    with pytest.raises(OvmotError, match="no images to draw on"):
         write_many()
     output.close()
+    output.close()
+
+
+def test_a_process_that_has_died_is_a_clear_error(
+    tmp_path: Path, rig: StereoRig, make_result: Maker
+) -> None:
+    output = OverlayVideo(tmp_path / "overlay.mp4", rig)
+    output.write(make_result(0))
+    output.process.kill()
+    with pytest.raises(OvmotError, match="the process that writes the video has died"):
+        for stamp in range(1, 100):
+            output.write(make_result(stamp))
+        output.close()
     output.close()
 
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ def topics_in(path: Path) -> Counter[str]:
         return Counter(connection.topic for connection, _, _ in reader.messages())
 
 
-def write(path: Path, rig: StereoRig, result: FrameResult, **options: bool) -> None:
+def write(path: Path, rig: StereoRig, result: FrameResult, **options: Any) -> None:
     output = BagOutput(path, rig, **options)
     for i in range(3):
         stamp = result.timestamp_ns + i * 10**8

@@ -137,9 +137,7 @@ def run(
             help="Write the results as a ROS bag too: .bag, .mcap, or a folder of ROS 2.",
         ),
     ] = None,
-    no_report: Annotated[
-        bool, typer.Option("--no-report", help="Make no report.html.")
-    ] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Make no report.html.")] = False,
     no_objects: Annotated[
         bool, typer.Option("--no-objects", help="Do not look for moving objects.")
     ] = False,

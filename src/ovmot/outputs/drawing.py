@@ -13,7 +13,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.outputs.lettering import font_size, place_words, word_size, write
-from ovmot.outputs.palette import BLACK, GREY, Color
+from ovmot.outputs.palette import BLACK, DARK, Color
 
 _DIM = 0.55  # share of the image's brightness that is kept, so that colours stand out
 _FAR_PX = 5000.0
@@ -40,7 +40,7 @@ def drawable(pixels: FloatArray) -> BoolArray:
 
 def line_width(image: Image) -> int:
     """Width of a line that is seen in an image of this size, pixels."""
-    return max(1, round(image.shape[1] / _PIXELS_A_LINE))
+    return max(1, round(int(image.shape[1]) / _PIXELS_A_LINE))
 
 
 def dots(
@@ -74,7 +74,7 @@ def arrows(
     """Arrows from pixels (N, 2) to pixels (N, 2)."""
     kept = drawable(tails) & drawable(heads)
     ends = zip(enlarged(tails[kept], scale), enlarged(heads[kept], scale), strict=True)
-    width, tip_px = line_width(image), image.shape[1] / 160
+    width, tip_px = max(line_width(image) - 1, 1), image.shape[1] / 200
     for tail, head in ends:
         length = max(float(np.linalg.norm(head - tail)), 1e-6)
         a, b = (tuple(np.rint(p).astype(np.int64).tolist()) for p in (tail, head))
@@ -106,7 +106,7 @@ def texts(
     corners = place_words(at, sizes, bounds, head, reach)
     placed = np.isfinite(corners[:, 0])
     ties = _ties(at[placed], corners[placed], sizes[placed], 0.9 * sizes[0, 1])
-    curves(image, ties, GREY)
+    curves(image, ties, DARK)
     for i, corner in zip(shown, corners, strict=True):
         if np.isfinite(corner[0]):
             write(image, words[i], corner[0], corner[1], colors[i], size)
@@ -125,8 +125,8 @@ def labels(
     Boxes are left, top, right, bottom in pixels; a plate lies within the image. Where the box is
     not drawable there is none.
     """
-    seen = np.flatnonzero(np.all(drawable(boxes.reshape(-1, 2, 2)), axis=1))
-    if len(seen) == 0:
+    seen = np.flatnonzero(np.all(drawable(boxes.reshape(-1, 2, 2)), axis=1)).tolist()
+    if not seen:
         return
     size = font_size(image.shape[1])
     bounds = image.shape[1], image.shape[0]

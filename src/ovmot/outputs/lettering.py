@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image as Pictures
 from PIL import ImageDraw, ImageFont
 
-from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.outputs.palette import BLACK, Color
 
 _FONT = "mpl-data/fonts/ttf/DejaVuSans.ttf"  # what matplotlib brings; of Bitstream's free licence
@@ -40,7 +40,8 @@ def write(
     """
     mask = _mask(word, size)
     if outline:
-        _blend(image, cv2.dilate(mask, np.ones((3, 3), np.uint8)), left, top, BLACK)
+        edge = np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)), dtype=np.uint8)
+        _blend(image, edge, left, top, BLACK)
     _blend(image, mask, left, top, color)
 
 
@@ -88,10 +89,11 @@ def _candidates(
                        (2, -1), (-2, -1), (2, 1), (-2, 1))
     ]  # fmt: skip
     corners = anchor + np.array([*near, *rings])
-    return np.clip(corners, 0.0, np.maximum(np.array(bounds) - size, 0.0))
+    inside: FloatArray = np.clip(corners, 0.0, np.maximum(np.array(bounds) - size, 0.0))
+    return inside
 
 
-def _is_free(corners: FloatArray, size: FloatArray, boxes: FloatArray) -> np.ndarray:
+def _is_free(corners: FloatArray, size: FloatArray, boxes: FloatArray) -> BoolArray:
     """Which corners (C, 2) give a word of this size that touches none of the boxes (M, 4)."""
     low, high = corners[:, None] - _SEPARATION_PX, corners[:, None] + size + _SEPARATION_PX
     apart = (low >= boxes[None, :, 2:]) | (high <= boxes[None, :, :2])

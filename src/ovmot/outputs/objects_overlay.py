@@ -16,7 +16,7 @@ from ovmot.outputs import drawing, palette
 from ovmot.outputs.trails import Trails, body_edges, moved_ways, seen_pieces
 from ovmot.types import EgoEstimate, FrameResult, Health, ObjectTrack, PointLabel, StereoFrame
 
-_LEAST_ARROW_PX = 1.0
+_LEAST_ARROW_PX = 6.0  # of the drawing: a shorter one would be a blot
 _HEALTH: dict[Health, palette.Color] = {
     Health.TRACKING: palette.SKY_BLUE,
     Health.DEGRADED: palette.YELLOW,
@@ -94,7 +94,7 @@ def draw_tracks(
         trail = seen_pieces(moved_ways(trails.of(track.track_id)), T_cam0_world, camera)
         drawing.curves(image, trail, color, scale, wide)
         edges = seen_pieces(body_edges(track), T_cam0_world, camera)
-        drawing.curves(image, edges, color, scale, wide + 1)
+        drawing.curves(image, edges, color, scale, wide)
     nearest = sorted(shown, key=lambda track: _distance(track, T_cam0_world))
     drawing.labels(
         image, np.array([track.box_px for track in nearest]).reshape(-1, 4),
@@ -113,7 +113,7 @@ def _draw_points(image: Image, scene: ScenePicture, scale: float) -> None:
     dynamic = scene.label == PointLabel.DYNAMIC
     radius = max(1, round(image.shape[1] / 900))
     drawing.dots(image, scene.pixels[~dynamic], palette.GREY, scale, radius)
-    motion = np.linalg.norm(scene.pixels - scene.previous, axis=1)
+    motion = scale * np.linalg.norm(scene.pixels - scene.previous, axis=1)
     arrows = dynamic & (motion >= _LEAST_ARROW_PX)
     for track_id in np.unique(scene.track_id[dynamic]).tolist():
         color = palette.WHITE if track_id < 0 else palette.color_of(track_id)

@@ -6,6 +6,7 @@ and again.
 """
 
 import warnings
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,9 @@ _MOST_VIEWS = 500
 _GROWTH = 1.3  # of the box's area, from one view of an object to a better one
 _QUALITY = 80
 _REMEDY = "run it again"
+_BROKEN = (
+    OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile, CalibrationError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +102,7 @@ class PreviewFile:
         if not self._pictures:
             return
         try:
-            write_preview(
-                self._path, Preview(self._camera, tuple(self._pictures), self._views)
-            )
+            write_preview(self._path, Preview(self._camera, tuple(self._pictures), self._views))
         except OSError as error:
             warnings.warn(
                 f"{self._path}: cannot be written: {error.strerror}: the report has no pictures",
@@ -157,7 +159,7 @@ def read_preview(path: Path) -> Preview:
     try:
         with np.load(path, allow_pickle=False) as file:
             return _preview({name: file[name] for name in file.files})
-    except (OSError, ValueError, KeyError, IndexError, EOFError, CalibrationError) as error:
+    except _BROKEN as error:
         raise InputError.at(path, f"is no preview of a run: {error}", _REMEDY) from None
 
 
@@ -170,9 +172,7 @@ def _preview(arrays: dict[str, Any]) -> Preview:
     )  # fmt: skip
     stamps = arrays["timestamp_ns"].tolist()
     ends = np.cumsum(arrays["n_points"])[:-1]
-    columns = [
-        np.split(arrays[name], ends) for name in ("pixels", "previous", "label", "track_id")
-    ]
+    columns = [np.split(arrays[name], ends) for name in ("pixels", "previous", "label", "track_id")]
     jpegs = _unpacked("jpeg", arrays)
     views = zip(_unpacked("view_jpeg", arrays), arrays["view_area"].tolist(), strict=True)
     return Preview(

@@ -158,9 +158,10 @@ def open_outputs(
 
     `stages` are the columns of `timing.csv`; without them the first frame's are taken.
     `frame_number` gives the number of each stamp (ns) in the sequence; None where no objects are
-    tracked, which leaves `objects_kitti.txt` out. `view` is what overlays show. `more` makes outputs beyond the folder. Raises
-    `InputError` where the folder holds a run already (unless `force`, which removes that run's
-    files and nothing else) or cannot be written into.
+    tracked, which leaves `objects_kitti.txt` out. `view` is what overlays show; `preview`
+    keeps small pictures for the report. `more` makes outputs beyond the folder. Raises `InputError`
+    where the folder holds a run already (unless `force`, which removes that run's files and nothing
+    else) or cannot be written into.
     """
     check_folder(folder, force=force)
     names = (

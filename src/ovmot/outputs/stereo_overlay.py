@@ -41,7 +41,7 @@ def draw_stereo(
         drawing.dots(left, p_left[which], color, scale)
         drawing.dots(right, p_right[which], color, scale)
     farthest = np.argsort(-np.nan_to_num(matches.distance_px))  # these get the room there is
-    words = [f"{d:.1f}" if d == d else "" for d in matches.distance_px[farthest].tolist()]
+    words = ["" if np.isnan(d) else f"{d:.1f}" for d in matches.distance_px[farthest].tolist()]
     drawing.texts(right, p_right[farthest], words, palette.GREEN, scale, reach=0)
     drawing.caption(
         left,

@@ -40,7 +40,7 @@ class OverlayVideo:
     def __init__(self, path: Path, rig: StereoRig, view: View = "objects") -> None:
         self._path = path
         self._view = view
-        self._process = HelperProcess("ovmot.outputs.video", "serve")
+        self.process = HelperProcess("ovmot.outputs.video", "serve")
         self._queue: queue.Queue[FrameResult | None] = queue.Queue(_WAITING_FRAMES)
         self._failure: Exception | None = None
         self._closed = False
@@ -61,7 +61,7 @@ class OverlayVideo:
         self._closed = True
         self._queue.put(None)
         self._thread.join()
-        self._process.close()
+        self.process.close()
         self._raise_failure()
 
     def _raise_failure(self) -> None:
@@ -73,15 +73,15 @@ class OverlayVideo:
         """Send what comes; at the end, or where the process does not take more, get its answer."""
         ended = False
         try:
-            self._process.requests.send(start)
+            self.process.requests.send(start)
             while not ended:
                 result = self._queue.get()
                 ended = result is None
-                self._process.requests.send(result)
+                self.process.requests.send(result)
         except OSError:
             pass  # it has ended, and its answer says why
         try:
-            self._failure = self._process.replies.recv()
+            self._failure = self.process.replies.recv()
         except (EOFError, OSError):
             self._failure = OvmotError(f"{self._path}: the process that writes the video has died")
         while not ended:  # so that nobody waits for a full queue
@@ -122,9 +122,7 @@ def _drawn_of(result: FrameResult, view: View) -> FrameResult:
     return replace(result, frame=replace(frame, right=right, left_mask=None, right_mask=None))
 
 
-def _encode_all(
-    path: Path, rig: StereoRig, view: View, results: Iterator[FrameResult]
-) -> None:
+def _encode_all(path: Path, rig: StereoRig, view: View, results: Iterator[FrameResult]) -> None:
     """One frame is held back: the time to the second one is the stream's nominal rate."""
     first = next(results, None)
     if first is None:

@@ -223,7 +223,9 @@ def _settings(summary: dict[str, Any]) -> list[dict[str, str]]:
 def _shown(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(_shown(v) for v in value) or "none"
-    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+    return (
+        "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+    )
 
 
 def _facts(
@@ -243,13 +245,13 @@ def _facts(
         "objects": f"{n_objects}",
     }
     if len(run.state) and summary.get("wall_seconds"):
-        facts["speed of the run"] = f"{len(state) / summary['wall_seconds']:.1f} frames/s"
+        facts["frames/s"] = f"{len(state) / summary['wall_seconds']:.1f}"
     ate = None if placed.truth is None else placed.truth.ate.get("yaw")
     if ate is not None and placed.truth is not None:
-        facts["position error (ATE)"] = f"{ate.translation.rmse:.3g} m"
+        facts["ATE, position"] = f"{ate.translation.rmse:.3g} m"
         relative = placed.truth.distance_m
         if relative > 2.0:
-            facts["of the path"] = f"{100.0 * ate.translation.rmse / relative:.2g} %"
+            facts["ATE of the path"] = f"{100.0 * ate.translation.rmse / relative:.2g} %"
     return [{"name": name, "value": value} for name, value in facts.items()]
 
 

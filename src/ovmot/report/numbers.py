@@ -1,5 +1,6 @@
 """Arrays as lists that JSON can hold, no longer than a page needs."""
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ def listed(values: AnyArray, digits: int) -> list[Any]:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim > 1:
         return [listed(row, digits) for row in array]
-    return [None if x != x or x in (np.inf, -np.inf) else x for x in array.round(digits).tolist()]
+    return [x if isfinite(x) else None for x in array.round(digits).tolist()]
 
 
 def number(value: float, digits: int) -> float | None:

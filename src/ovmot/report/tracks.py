@@ -27,7 +27,8 @@ class Path:
     @property
     def speed(self) -> FloatArray:
         """Speed (N,), m/s."""
-        return np.linalg.norm(columns(self.rows, "vx", "vy", "vz"), axis=1)
+        speed: FloatArray = np.linalg.norm(columns(self.rows, "vx", "vy", "vz"), axis=1)
+        return speed
 
 
 def paths_of(tracks: Rows) -> tuple[Path, ...]:

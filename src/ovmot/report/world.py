@@ -71,5 +71,3 @@ def _onto(first: Placed, run: Run) -> Alignment:
         return ALIGNMENTS["yaw"](T, estimate.T_world_imu[b])
     except OvmotError:
         return UNMOVED
-
-

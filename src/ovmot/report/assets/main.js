@@ -35,7 +35,7 @@ function sum(count) {
 /** A picture for each run: the overlay's last frame up to the clock's time. */
 function viewers() {
   const host = document.getElementById("views");
-  host.classList.toggle("several", SEVERAL);
+  document.getElementById("player").classList.toggle("several", SEVERAL);
   RUNS.forEach((run, i) => {
     const caption = make("figcaption");
     if (!run.pictures.t.length) {

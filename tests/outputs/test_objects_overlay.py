@@ -5,26 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from overlay_checks import has_color, has_words, images_of
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
-from ovmot.outputs import drawing
-from ovmot.outputs.tracks_overlay import (
-    TRAIL_S,
-    Trails,
-    body_edges,
-    draw_tracks,
-    seen_pieces,
-)
+from ovmot.outputs import palette
+from ovmot.outputs.drawing import caption_height
+from ovmot.outputs.objects_overlay import draw_objects, draw_tracks, scene_picture
+from ovmot.outputs.trails import TRAIL_S, Trails, body_edges, seen_pieces
 from ovmot.types import FrameResult, ObjectTrack
 
 Maker = Callable[[int], FrameResult]
 WIDTH, HEIGHT = 240, 160
 # the camera looks along the world's x axis, at its origin: camera x = -y, y = -z, z = x
 T_CAM0_WORLD = se3.make(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), np.zeros(3))
-YELLOW = drawing.color_of(6)
+ORANGE = palette.color_of(6)
 
 
 @pytest.fixture
@@ -58,11 +55,11 @@ def drawn(
 def bright(image: Image, u: float, v: float) -> bool:
     """Is there a line of the track's colour within a pixel?"""
     patch = image[round(v) - 1 : round(v) + 2, round(u) - 1 : round(u) + 2].astype(int)
-    return bool(np.any(np.abs(patch - np.array(YELLOW)).max(axis=-1) < 120))
+    return bool(np.any(np.abs(patch - np.array(ORANGE)).max(axis=-1) < 120))
 
 
 def way(*positions: tuple[float, float, float]) -> Trails:
-    return Trails(0, {6: tuple((i, np.array(p)) for i, p in enumerate(positions))})
+    return Trails(0, 0, {6: tuple((i, np.array(p)) for i, p in enumerate(positions))})
 
 
 def test_the_edges_are_those_of_the_body(track: ObjectTrack) -> None:
@@ -162,7 +159,7 @@ def test_the_label_stays_in_the_image(
 ) -> None:
     box = np.array([*corner, corner[0] + 10.0, corner[1] + 10.0])
     away = replace(track, position=np.array([-10.0, 0.0, 0.0]), box_px=box)
-    plate = np.argwhere(np.all(drawn(away, pinhole) == YELLOW, axis=-1))
+    plate = np.argwhere(np.all(drawn(away, pinhole) == ORANGE, axis=-1))
     assert np.ptp(plate[:, 0]) >= 9
     assert np.ptp(plate[:, 1]) >= 60
 
@@ -177,3 +174,51 @@ def test_a_track_without_a_box_in_the_image_has_no_label(
 def test_scale_enlarges_positions(track: ObjectTrack, pinhole: Camera) -> None:
     image = drawn(track, pinhole, scale=2.0)
     assert bright(image, 2.0 * (120.0 + 150.0 * 2.0 / 9.0 + 0.5), 2.0 * (92.5 + 0.5))
+
+
+@pytest.mark.parametrize("width", [640, 1280, 1920])
+def test_the_view_shows_dots_arrows_and_a_label_at_any_width(
+    rig: StereoRig, make_result: Maker, width: int
+) -> None:
+    result = make_result(10**9)
+    (track,) = result.tracks
+    ahead = replace(track, position=np.array([0.0, 0.0, 8.0]))  # in a world with the camera's axes
+    ego = replace(result.ego, T_world_imu=np.eye(4), T_imu_cam0=np.eye(4))
+    result = replace(result, tracks=(ahead,), ego=ego)
+    trails = Trails().extended(make_result(0)).extended(result)
+    image = draw_objects(images_of(result).left, scene_picture(result, rig.cam0, trails), width)
+    assert image.shape == (round(160 * width / 240), width, 3)
+    scale = width / 240
+    color = palette.color_of(3)
+
+    def near(u: float, v: float) -> Image:
+        column, row = round((u + 0.5) * scale), round((v + 0.5) * scale)
+        return image[row - 4 : row + 4, column - 4 : column + 4]
+
+    assert has_color(near(180, 60), palette.GREY)  # a static point
+    middle = near(50, 65)
+    assert has_words(middle, color)  # of the dynamic point's arrow, from (40, 70) to (60, 60)
+    plate = np.argwhere(np.all(image == np.array(color), axis=-1))
+    assert len(plate) > 300
+    strip = image[: caption_height(image)]
+    assert has_words(strip, palette.YELLOW)  # it is degraded
+
+
+def test_times_are_seconds_from_the_start(rig: StereoRig, make_result: Maker) -> None:
+    trails = Trails().extended(make_result(5 * 10**18)).extended(make_result(5 * 10**18 + 10**9))
+    scene = scene_picture(make_result(5 * 10**18 + 2 * 10**9), rig.cam0, trails)
+    assert scene.seconds == pytest.approx(2.0)
+    restarted = trails.extended(replace(make_result(5 * 10**18 + 3 * 10**9), segment=1))
+    assert restarted.start_ns == 5 * 10**18
+
+
+def test_labels_of_neighbours_do_not_cover_each_other(track: ObjectTrack, pinhole: Camera) -> None:
+    """Five bodies on nearly one place: five plates, each whole."""
+    crowd = [
+        replace(track, track_id=k, box_px=track.box_px + k, position=np.array([-10.0, 0.0, 0.0]))
+        for k in range(5)
+    ]
+    image = np.zeros((HEIGHT * 3, WIDTH * 3, 3), dtype=np.uint8)
+    draw_tracks(image, crowd, Trails(), T_CAM0_WORLD, pinhole, 3.0)
+    areas = [np.count_nonzero(np.all(image == palette.color_of(k), axis=-1)) for k in range(5)]
+    assert min(areas) > 0.7 * max(areas)
