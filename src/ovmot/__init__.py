@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ovmot.frontend.given_features import GivenFeatures
     from ovmot.odometry import Odometry
     from ovmot.outputs.finished_run import Run
+    from ovmot.outputs.rerun_output import RerunOutput
     from ovmot.outputs.run_json import RunSummary
     from ovmot.outputs.run_writer import Output, RunContext
     from ovmot.outputs.views import View
@@ -86,6 +87,7 @@ __all__ = [
     "OvmotError",
     "PointLabel",
     "RecordedSequence",
+    "RerunOutput",
     "Run",
     "RunConfig",
     "RunContext",
@@ -129,6 +131,7 @@ _HOMES = {
     "frontend.given_features": "GivenFeatures",
     "odometry": "Odometry",
     "outputs.finished_run": "Run",
+    "outputs.rerun_output": "RerunOutput",
     "outputs.run_json": "RunSummary",
     "outputs.run_writer": "Output RunContext",
     "outputs.views": "View",

@@ -41,6 +41,7 @@ from ovmot.cli.options import (
     FormatOption,
     ImuOption,
     LeftOption,
+    RerunOption,
     RightOption,
     SequenceOption,
     SetOption,
@@ -49,6 +50,7 @@ from ovmot.cli.options import (
 )
 from ovmot.cli.recorded import open_recorded
 from ovmot.cli.report import report, report_of_run
+from ovmot.cli.rerun import rerun_output
 from ovmot.ros.bag_output import BagOutput
 from ovmot.runtime import take_signals_as_interrupts
 
@@ -137,6 +139,7 @@ def run(
             help="Write the results as a ROS bag too: .bag, .mcap, or a folder of ROS 2.",
         ),
     ] = None,
+    rerun: RerunOption = None,
     no_report: Annotated[bool, typer.Option("--no-report", help="Make no report.html.")] = False,
     no_objects: Annotated[
         bool, typer.Option("--no-objects", help="Do not look for moving objects.")
@@ -162,6 +165,7 @@ def run(
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
     more = () if bag is None else (_bag_output(bag, recorded, view if video else None, force),)
+    more += () if rerun is None else (rerun_output(rerun, force),)
     options = RunOptions(
         out, _ego_poses(ego), save_points, video, force, first, last, masks, more,
         given.mask_files, threads, view, preview=not no_report,

@@ -46,6 +46,13 @@ ViewOption = Annotated[
         help="What overlays show: moving objects, the stereo check, the test of dynamic points."
     ),
 ]
+RerunOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE.rrd|viewer",
+        help="Record the run for Rerun's viewer, or show it there as it goes on.",
+    ),
+]
 
 
 def preset_lines() -> list[str]:

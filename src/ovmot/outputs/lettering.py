@@ -80,8 +80,10 @@ def _candidates(
     """Corners (C, 2) of a word by its anchor, the best first, moved to lie within the image."""
     w, h = size
     gap = 4.0
-    near = [(gap, -h), (-w - gap, -h), (gap, 0.0), (-w - gap, 0.0), (-w / 2, -h - gap),
-            (-w / 2, gap)]  # fmt: skip
+    near = [
+        (gap, -h), (-w - gap, -h), (gap, -2.2 * h), (-w - gap, -2.2 * h), (-w / 2, -h - gap),
+        (gap, 0.0), (-w - gap, 0.0), (-w / 2, gap),
+    ]  # fmt: skip
     rings = [
         (du * ring * 1.5 * h - w / 2, dv * ring * h - h / 2)
         for ring in range(1, reach + 1)
