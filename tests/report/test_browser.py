@@ -14,6 +14,7 @@ import pytest
 from run_folders import write_run, write_truth
 
 from ovmot.cameras.rig import StereoRig
+from ovmot.report.page import batch_page
 from ovmot.report.report import write_report
 
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser")]
@@ -224,3 +225,42 @@ def test_a_run_without_objects_and_truth(
     opened = open_page(write_report([run]), NARROW)
     assert "No moving object" in opened.page.locator("#objects").inner_text()
     assert opened.said == []
+
+
+def test_the_page_of_a_batch(open_page: Callable[..., Opened], tmp_path: Path) -> None:
+    for link in ("a/0", "a/1"):
+        (tmp_path / link).mkdir(parents=True)
+        (tmp_path / link / "report.html").write_text("<title>a run</title>")
+    runs = [
+        {"name": f"{name}/{seed}", "sequence": name, "settings": "default",
+         "report": f"{name}/{seed}/report.html" if name == "a" else None,
+         "metrics": {"ate_yaw_m": 0.1 * (seed + 1)}}
+        for name in "ab" for seed in (0, 1)
+    ]  # fmt: skip
+    spread = {
+        "sequence": "a", "settings": "default", "metric": "ate_yaw_m", "count": 2, "mean": 0.15,
+        "median": 0.15, "std": None, "least": 0.1, "greatest": 0.2, "usual": True,
+        "values": [0.1, 0.2],
+    }  # fmt: skip
+    contents = {
+        "name": EVIL, "failures": {"b/7": EVIL}, "metrics": ["ate_yaw_m"], "runs": runs,
+        "spreads": [spread, {**spread, "metric": "poses", "usual": False}],
+        "worst": [{"metric": "ate_yaw_m", "run": 1, "value": 0.2, "median": 0.15}],
+        "consistency": [{"sequence": "a", "settings": "default", "metric": "nees_pose", "runs": 2,
+                         "mean": 9.0, "low": 5.0, "high": 7.0}],
+    }  # fmt: skip
+    (tmp_path / "report.html").write_text(batch_page(contents), encoding="utf-8")
+    for size, scheme in ((WIDE, "light"), (NARROW, "dark")):
+        opened = open_page(tmp_path / "report.html", size, scheme)
+        assert opened.said == []
+        assert EVIL in opened.page.locator("#failures").inner_text()
+        assert opened.page.locator("#spreads tbody tr").count() == 1
+        assert opened.page.locator("#spreads circle").count() == 2
+        assert "overconfident" in opened.page.locator("#consistency").inner_text()
+        opened.page.locator("#spreads button", has_text="All 2 rows").click()
+        assert opened.page.locator("#spreads tbody tr").count() == 2
+        opened.page.locator("#runs th button", has_text="ate_yaw_m").click()
+        opened.page.locator("#runs th button", has_text="ate_yaw_m").click()
+        assert opened.page.locator("#runs tbody tr").first.inner_text().startswith("a/1")
+    opened.page.locator("#worst a").click()
+    assert opened.page.url.endswith("a/1/report.html")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ovmot.batch.execute import Executor, Work
 from ovmot.batch.jobs import Job, RunJob, is_done, render_jobs, result_of, run_jobs
+from ovmot.batch.page import write_batch_page
 from ovmot.batch.plan import Plan, Rendered
 from ovmot.batch.summary import BatchSummary, consistency_of, spreads_of, write_summary
 from ovmot.errors import InputError
@@ -23,8 +24,8 @@ def run_batch(
     monte_carlo: int | None = None,
     on_progress: Progress = lambda *_: None,
 ) -> BatchSummary:
-    """Do the jobs of a plan that are not done yet, and write `summary.csv` and `summary.json` into
-    `out`.
+    """Do the jobs of a plan that are not done yet, and write `summary.csv`, `summary.json` and
+    `report.html` into `out`.
 
     `monte_carlo` takes the seeds 0 to N-1 in place of the plan's, and judges the consistency. Jobs
     that fail are listed and do not hold up the others; what is finished stays whatever happens.
@@ -52,6 +53,7 @@ def run_batch(
         failures,
     )
     write_summary(out, summary)
+    write_batch_page(out, summary, done, plan.metrics)
     return summary
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import platform
 import shutil
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ovmot import (
     run_sequence,
     simulate,
     write_metrics,
+    write_report,
 )
 from ovmot import open as open_sequence
 from ovmot.batch.feature_runs import evaluate_features, run_features
@@ -94,9 +96,18 @@ def _run_folder(job: RunJob, data: Path, truth: Path) -> None:
         imu_max_gap_s=given_max_gap_s(job.settings),
         pair_tolerance_s=job.settings.recording.pair_tolerance_s,
     )
-    options = RunOptions(job.folder, save_points=True, force=True)
+    options = RunOptions(job.folder, save_points=True, preview=True, force=True)
     run_sequence(sequence, sequence.settings(job.settings), options)
     write_metrics(job.folder, evaluate(job.folder, truth))
+    _write_report(job.folder, truth)
+
+
+def _write_report(folder: Path, truth: Path | None) -> None:
+    """The page of a run; a run without its page is done all the same."""
+    try:
+        write_report([folder], truth=truth)
+    except Exception as error:
+        warnings.warn(f"{folder}: no report.html: {error}", stacklevel=2)
 
 
 def _run_features(job: RunJob, spec: Features) -> None:
@@ -115,3 +126,4 @@ def _run_features(job: RunJob, spec: Features) -> None:
         prior_rig = miscalibrated(simulation.rig, spec.calibration_error, rng)
     run_features(recording, job.settings, RunOptions(job.folder, force=True), initial_rig=prior_rig)
     write_metrics(job.folder, evaluate_features(job.folder, recording, prior_rig))
+    _write_report(job.folder, None)

@@ -292,6 +292,7 @@ def batch(
         show(table)
     for name, failure in summary.failures.items():
         say(f"ovmot: {name}: {failure}")
+    typer.echo(printable(f"report -> {out / 'report.html'}"))
     if summary.failures:
         raise typer.Exit(EXIT_FAILED)
 

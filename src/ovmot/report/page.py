@@ -13,14 +13,24 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-_SCRIPTS = ("uplot.min.js", "base.js", "map.js", "plots.js", "tables.js", "main.js")
+_SCRIPTS = (
+    "uplot.min.js", "base.js", "clock.js", "map.js", "plots.js", "sortable.js", "tables.js",
+    "main.js",
+)  # fmt: skip
 _STYLES = ("uplot.min.css", "page.css")
+_BATCH_SCRIPTS = ("base.js", "sortable.js", "batch.js")
 
 
 def report_page(contents: dict[str, Any]) -> str:
     """The page of `contents` (see `contents.page_contents`)."""
     title = " · ".join(run["name"] for run in contents["runs"])
     return page_of("page.html", _SCRIPTS, _STYLES, contents, f"ovmot: {title}")
+
+
+def batch_page(contents: dict[str, Any]) -> str:
+    """The page of many runs; see `batch/page.py`."""
+    title = f"ovmot: {contents['name']}"
+    return page_of("batch.html", _BATCH_SCRIPTS, ("page.css",), contents, title)
 
 
 def page_of(
