@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+BROWSER_STAMP := $(VENV)/.installed-browser
 REFERENCE_STAMP := $(VENV)/.installed-reference
 DOCS_STAMP := $(VENV)/.installed-docs
 PYTEST_FLAGS ?= -n auto --dist loadgroup
@@ -29,7 +30,7 @@ COMPILE := --quiet --generate-hashes --strip-extras --allow-unsafe --no-emit-opt
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-reference install-docs install-ros demo docs figures test test-portable test-ros check bench lock clean
+.PHONY: help install install-reference install-docs install-ros demo docs figures test test-portable test-ros test-browser check bench lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -63,6 +64,11 @@ $(DOCS_STAMP): $(STAMP) requirements-docs.lock
 	@$(PIP_INSTALL) --require-hashes -r requirements-docs.lock
 	@touch $@
 
+$(BROWSER_STAMP): $(STAMP) requirements-browser.lock
+	@echo "installing Playwright and Rerun's SDK into $(VENV)"
+	@$(PIP_INSTALL) --require-hashes -r requirements-browser.lock
+	@touch $@
+
 install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its own
 	@test "$$($(BIN)/python -c '$(MINOR)')" = "$$($(DEBIAN_PYTHON) -c '$(MINOR)')" || { \
 		echo "ROS 1 is for Debian's own Python, and .venv has another: make clean, then make install-ros PYTHON=$(DEBIAN_PYTHON)" >&2; exit 1; }
@@ -89,6 +95,11 @@ test-portable: install ## run the numerical tests as other processors compute (P
 test-ros: install-ros ## test the live node with a real ROS 1 master (docs/ros.md)
 	OVMOT_TEST_ROS=1 $(BIN)/python -m pytest -n 0 -s tests/ros/test_ros1_node.py
 
+test-browser: $(BROWSER_STAMP) ## test the report in Chromium, and recordings for Rerun by its SDK
+	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || { \
+		echo "the report is tested in Chromium: sudo apt-get install chromium" >&2; exit 1; }
+	$(BIN)/python -m pytest -n 0 -m "browser or rerun"
+
 check: install ## lint, format, types, layers
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -108,7 +119,9 @@ lock: ## bring the lock files in line with pyproject.toml (UPGRADE=--upgrade: ne
 	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) -c requirements.lock \
 		--extra reference -o requirements-reference.lock pyproject.toml && \
 	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) -c requirements.lock \
-		--extra docs -o requirements-docs.lock pyproject.toml
+		--extra docs -o requirements-docs.lock pyproject.toml && \
+	$(CLEAN_PIP) "$$tools/bin/pip-compile" $(COMPILE) $(UPGRADE) -c requirements.lock \
+		--extra browser --extra rerun -o requirements-browser.lock pyproject.toml
 
 clean: ## remove the virtual environment and every cache
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

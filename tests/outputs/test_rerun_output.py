@@ -17,6 +17,8 @@ from ovmot.outputs import rerun_output
 from ovmot.outputs.rerun_output import RerunOutput
 from ovmot.types import FeatureFrame
 
+pytestmark = pytest.mark.rerun
+
 
 def without_sdk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
