@@ -17,7 +17,11 @@ from ovmot.batch.plan import Plan
 from ovmot.batch.work import Outcome
 
 PLAN = Plan.model_validate(
-    {"sequences": {"walk": {"features": "/nowhere/walk.txt"}}, "settings": {"plain": {}}, "seeds": 4}
+    {
+        "sequences": {"walk": {"features": "/nowhere/walk.txt"}},
+        "settings": {"plain": {}},
+        "seeds": 4,
+    }
 )
 
 

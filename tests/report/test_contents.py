@@ -127,6 +127,16 @@ def test_a_long_run_stays_small(tmp_path: Path, painted_rig: StereoRig) -> None:
     assert max(run["tracks"][0]["at"]) < 2400
 
 
+def test_many_runs_share_the_room(tmp_path: Path, painted_rig: StereoRig) -> None:
+    run = Run(write_run(tmp_path / "run", painted_rig, 2000))
+    pages = {n: page_contents([run] * n)["runs"] for n in (1, 8)}
+    assert len(pages[1][0]["t"]) == 2000
+    assert len(pages[8][0]["t"]) == 600
+    rows = {n: sum(len(track["at"]) for track in pages[n][0]["tracks"]) for n in pages}
+    assert rows[1] == 2000 + 1990
+    assert rows[8] <= 40_000 // 8
+
+
 def test_names_tell_runs_apart() -> None:
     assert run_names([Path("/a/x"), Path("/a/y")]) == ["x", "y"]
     assert run_names([Path("/a/x"), Path("/b/x")]) == ["a/x", "b/x"]

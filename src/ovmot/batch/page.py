@@ -48,7 +48,9 @@ def batch_contents(
             for spread in summary.spreads
         ],
         "worst": [
-            _worst(runs, spread) for spread in summary.spreads if spread.metric in metrics
+            _worst(runs, spread)
+            for spread in summary.spreads
+            if spread.metric in metrics and (spread.least < spread.greatest or spread.count == 1)
         ],
         "consistency": [asdict(row) for row in summary.consistency],
     }  # fmt: skip

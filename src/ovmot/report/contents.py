@@ -1,6 +1,7 @@
 """What a page tells of a run: everything that its script draws, as values of JSON."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,11 @@ from ovmot.settings import Settings, describe_settings
 
 _PICTURES_BYTES = 11_000_000
 """Of all runs together; with everything else a page stays under 15 MB."""
+_MOST_ROWS = 40_000
+"""Of the objects' paths, of all runs together: two megabytes."""
+_MOST_SAMPLES = 2400
+"""Of a line in a plot: more than a screen has pixels."""
+_LEAST_SAMPLES = 600
 _SIGMAS = ("std_rotation_x", "std_rotation_y", "std_rotation_z", "std_x", "std_y", "std_z")
 _STAGES = {
     "start": "initialize", "predict": "propagate", "match": "track", "split": "segment",
@@ -27,10 +33,22 @@ _STAGES = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class Room:
+    """How much of a page one run may take: bytes of pictures, rows of paths, samples of a line."""
+
+    picture_bytes: int
+    path_rows: int
+    samples: int
+
+
 def page_contents(runs: Sequence[Run], truth: Path | None = None) -> dict[str, Any]:
     """The page of some runs; see `run_contents`. Raises `InputError` where a run is broken."""
     placed = placed_runs(runs, truth)
-    room = _PICTURES_BYTES // len(placed)
+    n = len(placed)
+    room = Room(
+        _PICTURES_BYTES // n, _MOST_ROWS // n, max(_MOST_SAMPLES // max(n // 2, 1), _LEAST_SAMPLES)
+    )
     names = run_names([run.folder for run in runs])
     starts = [_start_ns(run) for run in runs]
     # runs of one recording share their time, others start together
@@ -46,18 +64,18 @@ def page_contents(runs: Sequence[Run], truth: Path | None = None) -> dict[str, A
     }
 
 
-def run_contents(placed: Placed, name: str, zero_ns: int, most_bytes: int) -> dict[str, Any]:
-    """One run; times are seconds since `zero_ns`, pictures take at most so many bytes."""
+def run_contents(placed: Placed, name: str, zero_ns: int, room: Room) -> dict[str, Any]:
+    """One run; times are seconds since `zero_ns`."""
     run = placed.run
     state, summary = run.state, _summary(run)
     frame_ns = state["timestamp_ns"]
-    kept = grid(len(state))
+    kept = grid(len(state), room.samples)
     seconds = 1e-9 * (frame_ns - zero_ns)
     position = columns(state, "x", "y", "z")
     on_page = placed.positions(position)[kept]
     speed = np.linalg.norm(columns(state, "vx", "vy", "vz"), axis=1)
     paths = paths_of(_tracks(run))
-    pictures = pictures_of(run, most_bytes)
+    pictures = pictures_of(run, room.picture_bytes)
     objects = object_rows(paths, position, zero_ns, frame_ns)
     return {
         "name": name,
@@ -79,7 +97,7 @@ def run_contents(placed: Placed, name: str, zero_ns: int, most_bytes: int) -> di
         "standing": spans(seconds, state["standing"] > 0),
         "sigma": listed(columns(state, *_SIGMAS)[kept].T * _units()[:, None], 5),
         "truth": None if placed.truth is None else _truth(placed.truth, frame_ns[kept]),
-        "tracks": map_paths(paths, placed, frame_ns[kept]),
+        "tracks": map_paths(paths, placed, frame_ns[kept], room.path_rows),
         "objects": [row | {"view": pictures.views.get(row["id"])} for row in objects],
         "timing": _timing(run, frame_ns[kept]),
         "warnings": _warnings(summary),
@@ -148,7 +166,7 @@ def _truth(metrics: EgoMetrics, grid_ns: IntArray) -> dict[str, Any]:
     scale = _units()[None, :]
     errors = np.where(there[:, None], scale * series.errors[at], np.nan)
     bounds = np.where(there[:, None], scale * series.three_sigma[at], np.nan)
-    path = series.position_true[grid(len(series.position_true))]
+    path = series.position_true[grid(len(series.position_true), len(grid_ns))]
     return {
         "x": listed(path[:, 0], 2),
         "y": listed(path[:, 1], 2),

@@ -7,11 +7,8 @@ import numpy as np
 
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
-MOST_SAMPLES = 2400
-"""Of a line in a plot: more than a screen has pixels."""
 
-
-def grid(n: int, most: int = MOST_SAMPLES) -> IntArray:
+def grid(n: int, most: int) -> IntArray:
     """Indices of at most so many of n samples, the first and the last among them."""
     if n <= most:
         return np.arange(n)

@@ -13,7 +13,6 @@ from ovmot.types import ObjectTrack
 
 _CLASSES = ("walker", "cyclist", "vehicle")
 _SURE = 0.5  # a class is named that is more probable than all others together
-_MOST_ROWS = 40_000  # of all paths: some megabytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +74,14 @@ def object_tracks(rows: Rows) -> tuple[ObjectTrack, ...]:
     )  # fmt: skip
 
 
-def map_paths(paths: tuple[Path, ...], placed: Placed, frames: IntArray) -> list[dict[str, Any]]:
+def map_paths(
+    paths: tuple[Path, ...], placed: Placed, frames: IntArray, most_rows: int
+) -> list[dict[str, Any]]:
     """Paths in the page's world at the grid of frames (stamps (N,), ns): for map and plots.
 
-    `at` are indices into that grid. The longest ones come, up to some megabytes.
+    `at` are indices into that grid. The longest ones come, up to so many rows altogether.
     """
-    shown, left = [], _MOST_ROWS
+    shown, left = [], most_rows
     for path in sorted(paths, key=lambda p: -len(p.rows)):
         at = np.searchsorted(frames, path.rows["timestamp_ns"])
         there = (at < len(frames)) & (

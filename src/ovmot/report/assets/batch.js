@@ -79,7 +79,9 @@ function spreads() {
 }
 
 function consistency() {
-  document.getElementById("consistency").hidden = !DATA.consistency.length;
+  const none = !DATA.consistency.length;
+  document.getElementById("consistency").hidden = none;
+  document.querySelector("nav [href='#consistency']").hidden = none;
   const verdict = (row) => make("span", { class: row.mean > row.high ? "bad" : row.mean < row.low ? "warn" : "good" },
     row.mean > row.high ? "overconfident" : row.mean < row.low ? "too cautious" : "inside");
   const columns = [

@@ -44,7 +44,10 @@ function viewers() {
       return;
     }
     const image = make("img", { alt: nameOf(run, "overlay: left image with objects, points, speeds") });
-    host.append(make("figure", {}, image, caption));
+    const whole = () => figure.classList.toggle("whole");
+    const button = make("button", { type: "button", class: "picture", title: "Full size", onclick: whole }, image);
+    const figure = make("figure", {}, button, caption);
+    host.append(figure);
     let shownIndex = -1;
     const show = (t) => {
       const index = lastUpTo(run.pictures.t, t);
