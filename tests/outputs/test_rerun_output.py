@@ -99,7 +99,7 @@ def test_the_viewer_is_asked_for_on_this_machine_alone(
             pass
 
     monkeypatch.setattr(rerun_output, "_listens", lambda: False)
-    monkeypatch.setattr(rerun_output.subprocess, "Popen", NoDisplay)
+    monkeypatch.setattr(subprocess, "Popen", NoDisplay)
     with pytest.raises(InputError, match=r"does not start here .*--rerun FILE\.rrd"):
         RerunOutput("viewer", painted_rig)
     (command,) = started

@@ -164,10 +164,11 @@ def run(
     settings = recorded.settings(given.settings)
     for warning in recorded.warnings:
         say(f"ovmot: warning: {warning}")
-    more = () if bag is None else (_bag_output(bag, recorded, view if video else None, force),)
-    more += () if rerun is None else (rerun_output(rerun, force),)
+    more = [] if bag is None else [_bag_output(bag, recorded, view if video else None, force)]
+    if rerun is not None:
+        more.append(rerun_output(rerun, force))
     options = RunOptions(
-        out, _ego_poses(ego), save_points, video, force, first, last, masks, more,
+        out, _ego_poses(ego), save_points, video, force, first, last, masks, tuple(more),
         given.mask_files, threads, view, preview=not no_report,
     )  # fmt: skip
     stop = len(recorded) if last is None else min(last + 1, len(recorded))

@@ -1,9 +1,6 @@
 """How Rerun's viewer is laid out for a run: the world beside the camera, plots below."""
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import rerun.blueprint as rrb
+from typing import Any
 
 TIMELINE = "time"
 """Seconds since the first frame."""
@@ -13,8 +10,8 @@ STATIC, DYNAMIC = "world/points/static", "world/points/dynamic"
 SPEED, SIGMA, STAGES, LOG = "plots/speed", "plots/sigma", "plots/ms", "log"
 
 
-def run_blueprint() -> "rrb.Blueprint":
-    """The blueprint; the path is shown from the start to the time that is looked at."""
+def run_blueprint() -> Any:
+    """A blueprint of the SDK; the path is shown from the start to the time that is looked at."""
     import rerun.blueprint as rrb
 
     whole = rrb.VisibleTimeRanges(

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,9 +23,6 @@ from ovmot.outputs import rerun_blueprint as entities
 from ovmot.outputs.objects_overlay import ego_speed, left_image, track_words
 from ovmot.outputs.trails import Trails
 from ovmot.types import FrameResult, Health, ObjectTrack, PointLabel
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 VIEWER = "viewer"
 """In place of a file: the viewer on this machine."""
@@ -50,7 +47,7 @@ class RerunOutput:
         self._last: FloatArray | None = None
         self._health: Health | None = None
         self._path: Path | None = None if str(target) == VIEWER else Path(target)
-        stream: rr.RecordingStream = self._rr.RecordingStream("ovmot")
+        stream = self._rr.RecordingStream("ovmot")
         self._stream = stream
         if self._path is None:
             _start_viewer()
@@ -116,7 +113,7 @@ class RerunOutput:
         T = result.ego.T_world_imu @ result.ego.T_imu_cam0
         dynamic = known & (points.label == PointLabel.DYNAMIC)
 
-        def cloud(which: BoolArray, colors: list[tuple[int, int, int]]) -> "rr.Points3D":
+        def cloud(which: BoolArray, colors: list[tuple[int, int, int]]) -> Any:
             p = se3.apply(T, points.p_cam0[which])
             return rr.Points3D(p, colors=colors, radii=rr.Radius.ui_points(2.5))
 
@@ -203,7 +200,7 @@ def _listens() -> bool:
         return probe.connect_ex((_HOST, _PORT)) == 0
 
 
-def _pinhole(rr: Any, camera: Camera) -> "rr.Pinhole":
+def _pinhole(rr: Any, camera: Camera) -> Any:
     """The frustum of a camera; Rerun knows no distortion."""
     matrix = camera.matrix.copy()
     matrix[0, 0], matrix[1, 1] = camera.fx, camera.fy
@@ -213,7 +210,7 @@ def _pinhole(rr: Any, camera: Camera) -> "rr.Pinhole":
     )  # fmt: skip
 
 
-def _transform(rr: Any, T: FloatArray) -> "rr.Transform3D":
+def _transform(rr: Any, T: FloatArray) -> Any:
     return rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
 
