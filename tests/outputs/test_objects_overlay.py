@@ -13,7 +13,7 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.outputs import palette
 from ovmot.outputs.drawing import caption_height
-from ovmot.outputs.objects_overlay import draw_objects, draw_tracks, scene_picture
+from ovmot.outputs.objects_overlay import draw_objects, draw_tracks, scene_picture, track_words
 from ovmot.outputs.trails import TRAIL_S, Trails, body_edges, seen_pieces
 from ovmot.types import FrameResult, ObjectTrack
 
@@ -222,3 +222,12 @@ def test_labels_of_neighbours_do_not_cover_each_other(track: ObjectTrack, pinhol
     draw_tracks(image, crowd, Trails(), T_CAM0_WORLD, pinhole, 3.0)
     areas = [np.count_nonzero(np.all(image == palette.color_of(k), axis=-1)) for k in range(5)]
     assert min(areas) > 0.7 * max(areas)
+
+
+def test_the_words_of_a_track(track: ObjectTrack) -> None:
+    unknown = replace(track, class_probability=np.full(3, np.nan))
+    assert track_words(unknown) == "#6 5.0 m/s"
+    cyclist = replace(track, class_probability=np.array([0.2, 0.7, 0.1]))
+    assert track_words(cyclist) == "#6 cyclist 5.0 m/s"
+    unsure = replace(track, class_probability=np.array([0.4, 0.4, 0.2]))
+    assert track_words(unsure) == "#6 5.0 m/s"

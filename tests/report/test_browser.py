@@ -144,7 +144,7 @@ def test_the_table_sorts_both_ways(open_page: Callable[..., Opened], report: Pat
     opened = open_page(report)
     assert [text.strip() for text in opened.column(2)] == ["#1", "#2"]  # by the first time
     head = opened.page.locator("#objects th button", has_text="nearest")
-    number = 8
+    number = 9
     ups = opened.page.locator("#objects th[aria-sort=ascending]")
     head.click()
     assert "nearest" in ups.inner_text()

@@ -45,6 +45,7 @@ def test_path_speed_and_health_are_the_run_s(folder: Path) -> None:
 def test_objects_have_their_path_and_a_row(folder: Path) -> None:
     run = one(folder)
     assert [track["id"] for track in run["tracks"]] == [1, 2]  # the tentative one is none
+    assert [track["kind"] for track in run["tracks"]] == ["vehicle", ""]
     second = run["tracks"][1]
     assert second["at"] == list(range(10, 40))
     assert second["x"][0] == pytest.approx(15.0 + 8.0)
@@ -55,6 +56,16 @@ def test_objects_have_their_path_and_a_row(folder: Path) -> None:
     assert row["nearest"] == pytest.approx(np.hypot(18.0, 2.5), abs=0.06)
     assert row["size"] == [4.0, 1.8, 1.4]
     assert row["view"].startswith("data:image/jpeg;base64,")
+
+
+def test_tables_of_earlier_versions_have_no_classes(folder: Path) -> None:
+    path = folder / "tracks.csv"
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    kept = [i for i, name in enumerate(lines[0]) if not name.startswith("p_")]
+    path.write_text("".join(",".join(line[i] for i in kept) + "\n" for line in lines))
+    run = one(folder)
+    assert [track["kind"] for track in run["tracks"]] == ["", ""]
+    assert run["pictures"]["src"]
 
 
 def test_pictures_go_with_their_times(folder: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from ovmot.cameras.camera import Camera
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image, IntArray
+from ovmot.objects.motion_class import CLASSES
 from ovmot.outputs import drawing, palette
 from ovmot.outputs.trails import Trails, body_edges, moved_ways, seen_pieces
 from ovmot.types import EgoEstimate, FrameResult, Health, ObjectTrack, PointLabel, StereoFrame
@@ -105,7 +106,15 @@ def draw_tracks(
 
 def track_words(track: ObjectTrack) -> str:
     """Id, class where it is known, and speed of a track."""
-    return f"#{track.track_id} {np.linalg.norm(track.velocity):.1f} m/s"
+    words = [f"#{track.track_id}", class_word(track.class_probability)]
+    words.append(f"{np.linalg.norm(track.velocity):.1f} m/s")
+    return " ".join(word for word in words if word)
+
+
+def class_word(probability: FloatArray) -> str:
+    """The class of motion that is more probable than all others together; empty for none."""
+    sure = np.flatnonzero(probability > 0.5)
+    return CLASSES[sure[0]] if len(sure) else ""
 
 
 def _draw_points(image: Image, scene: ScenePicture, scale: float) -> None:

@@ -6,13 +6,12 @@ from typing import Any
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.motion_class import CLASSES
 from ovmot.outputs.finished_run import Rows
+from ovmot.outputs.objects_overlay import class_word
 from ovmot.report.numbers import listed, number
 from ovmot.report.world import Placed
 from ovmot.types import ObjectTrack
-
-_CLASSES = ("walker", "cyclist", "vehicle")
-_SURE = 0.5  # a class is named that is more probable than all others together
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +45,18 @@ def paths_of(tracks: Rows) -> tuple[Path, ...]:
 
 
 def kind_of(rows: Rows) -> str:
-    """The class that the rows of a track give most probability to; empty where none is sure."""
-    names = rows.dtype.names or ()
-    if any(f"p_{kind}" not in names for kind in _CLASSES):
-        return ""
-    mean = np.array([float(np.mean(rows[f"p_{kind}"])) for kind in _CLASSES])
-    best = int(np.argmax(np.nan_to_num(mean)))
-    return _CLASSES[best] if mean[best] > _SURE else ""
+    """The class of motion of a track, as last known; empty where none is sure."""
+    probability = _class_probability(rows)
+    known = probability[np.all(np.isfinite(probability), axis=1)]
+    return class_word(known[-1]) if len(known) else ""
+
+
+def _class_probability(rows: Rows) -> FloatArray:
+    """Probabilities (N, 3) of the classes; NaN in a run of before they were written."""
+    names = tuple(f"p_{kind}" for kind in CLASSES)
+    if not set(names) <= set(rows.dtype.names or ()):
+        return np.full((len(rows), len(CLASSES)), np.nan)
+    return columns(rows, *names)
 
 
 def columns(rows: Rows, *names: str) -> FloatArray:
@@ -69,8 +73,9 @@ def object_tracks(rows: Rows) -> tuple[ObjectTrack, ...]:
             _vector(row, "length", "width", "height"),
             _vector(row, "u_min", "v_min", "u_max", "v_max"), int(row["n_points"]),
             _vector(row, "std_x", "std_y", "std_z"), _vector(row, "std_vx", "std_vy", "std_vz"),
+            probability,
         )
-        for row in rows
+        for row, probability in zip(rows, _class_probability(rows), strict=True)
     )  # fmt: skip
 
 
