@@ -215,16 +215,16 @@ class MapView {
     if (SEVERAL) this.names.push([run.name, u, v, color]);
   }
 
-  /** Names beside their things, none over another: the next line down that is free. */
+  /** Names beside their things, none over another or over a thing: the nearest free line. */
   drawNames(pen) {
     pen.font = "12px system-ui, sans-serif";
     pen.textBaseline = "middle";
-    const taken = [];
+    const taken = this.names.map(([, u, v]) => [u - 14, u + 14, v]);
     for (const [words, u, v, color] of this.names) {
       if (u < -20 || v < -20 || u > this.width + 20 || v > this.height + 20) continue;
       const width = pen.measureText(words).width + 8;
-      const left = Math.min(Math.max(u + 12, 2), this.width - width - 2);
-      const places = [-14, 14, -30, 30, -46, 46, -62, 62, 78].map((dv) => v + dv);
+      const left = u + 16 + width < this.width ? u + 16 : Math.max(u - 16 - width, 2);
+      const places = [-12, 12, -28, 28, -44, 44, -60, 60, 76].map((dv) => v + dv);
       const free = places.find((y) => y > 8 && y < this.height - 8 && !taken.some(
         ([l, r, t]) => l < left + width && r > left && Math.abs(t - y) < 16));
       if (free === undefined) continue;
