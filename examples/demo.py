@@ -23,6 +23,7 @@ def main(folder: Path, duration_s: float = 8.0) -> None:
     ovmot("run", data, "-o", out, "--save-points", "--video", "--force")
     ovmot("evaluate", out, "--truth", data)
     print(f"video: {out / 'overlay.mp4'}")
+    print(f"page: {out / 'report.html'}")
     print(f"the whole demo took {time.monotonic() - start:.0f} s")
 
 
