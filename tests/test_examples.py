@@ -128,6 +128,7 @@ def test_demo_tracks_its_street(tmp_path: Path, capfd: pytest.CaptureFixture[str
     assert "object_recall" in printed
     out = tmp_path / "out"
     assert (out / "overlay.mp4").stat().st_size > 10_000
+    assert (out / "report.html").stat().st_size > 100_000
     assert (out / "map.png").stat().st_size > 10_000
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["poses"] >= 20
