@@ -31,11 +31,11 @@ def source_commit() -> str | None:
     root = Path(ovmot.__file__).parents[2]
     if not (root / ".git").exists():
         return None
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
     try:
         asked = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
-            check=True, capture_output=True, text=True, timeout=5.0,
-        )  # fmt: skip
+            command, cwd=root, check=True, capture_output=True, text=True, timeout=5.0
+        )
     except (OSError, subprocess.SubprocessError):
         return None
     return asked.stdout.strip()
