@@ -34,7 +34,7 @@ def test_tracks_stand_in_the_truth_s_world() -> None:
 
 def test_tracks_look_like_tracks_and_not_like_the_rig() -> None:
     frames = [
-        compare_frame(objects_at(50.0), tracks_at(x), np.eye(4), np.eye(4), ObjectCriteria())
+        compare_frame(objects_at(25.0), tracks_at(x), np.eye(4), np.eye(4), ObjectCriteria())
         for x in (10.0, 20.0)
     ]
     (panel,) = map_figure(SERIES, frames).axes
