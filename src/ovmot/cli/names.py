@@ -14,5 +14,8 @@ WRITER_FORMATS = (
 )  # fmt: skip
 """The keys of `ovmot.WRITERS`."""
 
-SCENES = ("demo", "traffic", "crossing", "jam", "pullout", "empty", "night", "fisheye")
+SCENES = (
+    "demo", "traffic", "crossing", "jam", "pullout", "queue", "abreast", "trailer", "arm_in_arm",
+    "bus", "cyclists", "empty", "night", "fisheye",
+)  # fmt: skip
 """`ovmot.SCENES`."""
