@@ -41,7 +41,7 @@ def test_code_inside_an_item() -> None:
 def test_links_follow_the_pages() -> None:
     wanted: list[str] = []
     text = (
-        "[a](../BENCHMARK.md#how-fast) [b](../ros) [c](../examples/read_run.py) [d](https://x.org/)"
+        "[a](../BENCHMARK.md#how-fast) [b](../benchmarks) [c](../examples/read_run.py) [d](https://x.org/)"
     )
     moved = relink(text, "performance.md", wanted.append)
     assert moved == (
