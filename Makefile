@@ -30,7 +30,8 @@ COMPILE := --quiet --generate-hashes --strip-extras --allow-unsafe --no-emit-opt
 	--no-emit-index-url --no-emit-find-links --no-emit-trusted-host
 
 .DEFAULT_GOAL := help
-.PHONY: help install install-reference install-docs install-ros demo docs figures test test-portable test-ros test-browser check bench lock clean
+.PHONY: help install install-reference install-docs install-ros demo docs figures test \
+	test-portable test-ros test-browser check bench wheel test-wheel test-bounds lock clean
 
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -77,7 +78,7 @@ install-ros: $(STAMP) ## let .venv see Debian's packages of ROS 1, behind its ow
 		echo "ROS 1 is not all there: sudo apt-get install $(ROS_PACKAGES)" >&2; exit 1; }
 
 demo: install ## simulate a small street, run ovmot on it, say where the results are
-	$(BIN)/python examples/demo.py
+	$(BIN)/ovmot demo runs/demo
 
 docs: install-docs ## build the site into build/site, offline; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -108,6 +109,18 @@ check: install ## lint, format, types, layers
 
 bench: install ## measure speed beside the floor of OpenCV alone (BENCH="--runs 3 FOLDER": see docs/performance.md)
 	$(BIN)/python benchmarks/bench.py $(BENCH)
+
+wheel: ## build dist/ovmot-*.whl and the source package
+	@tools=$$(mktemp -d) && trap 'rm -rf "$$tools"' EXIT && $(PYTHON) -m venv "$$tools" && \
+	"$$tools/bin/pip" install --quiet --disable-pip-version-check build && \
+	rm -rf dist && "$$tools/bin/python" -m build
+
+test-wheel: wheel ## try the wheel in an empty environment and folder (PYTHON=python3.13: with another one)
+	$(PYTHON) .ci/try_wheel.py dist/*.whl
+
+test-bounds: wheel ## the same with the newest and with the lowest dependencies that pyproject.toml allows
+	$(PYTHON) .ci/try_wheel.py dist/*.whl
+	$(PYTHON) .ci/try_wheel.py dist/*.whl --lowest
 
 lock: ## bring the lock files in line with pyproject.toml (UPGRADE=--upgrade: newest versions)
 	@tools=$$(mktemp -d) && trap 'rm -rf "$$tools"' EXIT && \

@@ -6,8 +6,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel
 
+from ovmot.batch.plan import Features, Plan, Recorded, Rendered
 from ovmot.settings import describe_settings
+from ovmot.sim.miscalibration import Miscalibration
+from ovmot.sim.scene_file import AcrossPart, AlongPart, SceneFile
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "ovmot"
@@ -111,6 +115,31 @@ def test_settings_exist(page: Path) -> None:
     named = [match for span in code_spans(page) for match in key.findall(span)]
     unknown = [f"{s}.{n}" for s, n in named if n not in FILE_ENDINGS and f"{s}.{n}" not in known]
     assert unknown == []
+
+
+def keys_of(section: type[BaseModel], prefix: str = "") -> set[str]:
+    """The keys of a section as the docs write them, those of single sections in it too."""
+    keys = set()
+    for name, field in section.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            keys |= keys_of(inner, f"{name}: ")
+        else:
+            keys.add(f"{prefix}{name}")
+    return keys
+
+
+@pytest.mark.parametrize(
+    ("page", "sections"),
+    [
+        ("batch.md", (Plan, Recorded, Rendered, Features, Miscalibration)),
+        ("simulator.md", (SceneFile, AlongPart, AcrossPart)),
+    ],
+)
+def test_every_key_of_a_file_is_listed(page: str, sections: tuple[type[BaseModel], ...]) -> None:
+    listed = set(re.findall(r"^\| `([^`]+)` \|", (ROOT / "docs" / page).read_text(), re.MULTILINE))
+    missing = {key for section in sections for key in keys_of(section)} - listed
+    assert missing - {"along", "across"} == set()
 
 
 def test_what_is_missing_is_noticed() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import ovmot
+from ovmot.cli.demo import demo
 from ovmot.segmentation.motion_tests import MOTION_TESTS
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -122,7 +123,7 @@ def test_motion_test(street: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_demo_tracks_its_street(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    example("demo").main(tmp_path, duration_s=3.0)
+    demo(tmp_path, duration=3.0)
     printed = capfd.readouterr().out
     assert "ate_yaw_m" in printed
     assert "object_recall" in printed

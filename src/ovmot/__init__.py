@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ovmot.run_evaluation import Evaluation, evaluate, metrics_table, write_metrics, write_plots
     from ovmot.runtime import prepare_process
     from ovmot.settings import Settings, describe_settings
-    from ovmot.settings_file import load_settings
+    from ovmot.settings_file import dump_settings, load_settings
     from ovmot.sim.scene_file import SCENES
     from ovmot.sim.simulate import SimulatedSequence, simulate
     from ovmot.types import (
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
         StereoFrame,
         StereoMatches,
     )
-    from ovmot.warmup import warm_up
+    from ovmot.warmup.processes import warm_up
 
 __all__ = [
     "CAMERA_MODELS",
@@ -102,6 +102,7 @@ __all__ = [
     "View",
     "WrittenCalibration",
     "describe_settings",
+    "dump_settings",
     "evaluate",
     "load_run_config",
     "load_settings",
@@ -140,12 +141,12 @@ _HOMES = {
     "run_evaluation": "Evaluation evaluate metrics_table write_metrics write_plots",
     "runtime": "prepare_process",
     "settings": "Settings describe_settings",
-    "settings_file": "load_settings",
+    "settings_file": "dump_settings load_settings",
     "sim.scene_file": "SCENES",
     "sim.simulate": "SimulatedSequence simulate",
     "types": "EgoEstimate Event FeatureFrame FrameResult Health ImuNoise ImuSample ObjectTrack"
     " PointLabel ScenePoints StereoFrame StereoMatches",
-    "warmup": "warm_up",
+    "warmup.processes": "warm_up",
 }
 """The names above by the module that defines them; a test holds the three lists together."""
 

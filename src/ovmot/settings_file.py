@@ -4,15 +4,17 @@ Unknown keys and values of the wrong type are errors that name the file and the 
 0.1 that have another name now are accepted with a warning.
 """
 
+import difflib
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import yaml
 from pydantic import ValidationError
 
 from ovmot.errors import InputError, SettingsWarning
-from ovmot.settings import Settings
+from ovmot.settings import Settings, describe_settings
 from ovmot.text_files import StrPath, YamlError, parse_yaml, read_yaml
 
 RENAMED = {
@@ -101,8 +103,21 @@ def make_settings(
     except ValidationError as error:
         sources = ([] if source is None else [source]) + [f"--set {text}" for text in overrides]
         raise InputError(
-            f"{', '.join(sources)}: {plain_messages(error, SETTINGS_REMEDY)}"
+            f"{', '.join(sources)}: {plain_messages(error, SETTINGS_REMEDY, _known_keys())}"
         ) from None
+
+
+def _known_keys() -> list[str]:
+    """Sections and keys."""
+    return [*Settings.model_fields, *(key for key, *_ in describe_settings())]
+
+
+def dump_settings(settings: Settings, only_changed: bool = False) -> str:
+    """Settings as the text of a YAML file that `load_settings` reads back; those of the defaults
+    are left out with `only_changed`."""
+    sections = settings.model_dump(mode="json", exclude_defaults=only_changed)
+    kept = {name: keys for name, keys in sections.items() if keys}
+    return yaml.safe_dump(kept, sort_keys=False) if kept else ""
 
 
 def accept_old_keys(data: dict[str, Any]) -> dict[str, Any]:
@@ -161,18 +176,31 @@ def _apply_override(data: dict[str, Any], text: str) -> None:
     data[section] = {**keys, name: parsed}
 
 
-def plain_messages(error: ValidationError, remedy: str) -> str:
-    """One line for all mistakes: each key, what is wrong, what was given."""
+def plain_messages(error: ValidationError, remedy: str, known: Sequence[str] = ()) -> str:
+    """One line for all mistakes: each key, what is wrong, what was given; for an unknown key, the
+    nearest one of `known`."""
     lines = []
     for item in error.errors():
         place = ".".join(str(part) for part in item["loc"])
         if item["type"] == "extra_forbidden":
-            lines.append(f"unknown key '{place}' ({remedy})")
+            like = nearest(place, known)
+            asked = f"; did you mean '{like}'?" if like else ""
+            lines.append(f"unknown key '{place}'{asked} ({remedy})")
         elif item["type"] == "missing":
             lines.append(f"'{place}' is missing")
         else:
             lines.append(f"'{place}': {item['msg']}, got {_short(item.get('input'))}")
     return "; ".join(lines)
+
+
+def nearest(key: str, known: Sequence[str]) -> str | None:
+    """The one of `known` that `key` was most likely meant to be: by its letters, or the only one
+    whose last part is the same; None if none is near."""
+    if alike := difflib.get_close_matches(key, known, n=1, cutoff=0.75):
+        return alike[0]
+    last = key.rpartition(".")[2]
+    same = [name for name in known if name.rpartition(".")[2] == last]
+    return same[0] if len(same) == 1 else None
 
 
 def _short(value: Any) -> str:

@@ -54,7 +54,11 @@ def test_a_killed_process_costs_only_its_own_job(
 
 @pytest.mark.slow
 def test_a_job_that_always_kills_its_process_is_given_up(tmp_path: Path) -> None:
-    summary = run_batch(walks(4), tmp_path, LocalProcesses(2, retries=1), always_die_on_seed_2)
+    said: list[str] = []
+    execute = LocalProcesses(2, retries=1, on_death=said.append)
+    summary = run_batch(walks(4), tmp_path, execute, always_die_on_seed_2)
+    assert any(line.startswith("a worker died; tried again") for line in said)
+    assert "walk/default/2: its worker died, try 1 of 1" in said
     assert summary.finished == 3
     assert summary.failures == {"walk/default/2": "its process died 2 times"}
 

@@ -8,9 +8,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from ovmot.outputs.run_writer import RunWriter
 from ovmot.settings import describe_settings
 from ovmot.types import FrameResult
 from ovmot.vio import visual_update
+from ovmot.warmup import processes
 
 START_NS = 1_403_636_580_000_000_000
 STAMPS = [START_NS + 10**8 * i for i in range(12)]
@@ -44,11 +46,6 @@ def whole_rows(path: Path) -> int:
     header, *rows = text.splitlines()
     assert all(row.count(",") == header.count(",") for row in rows)
     return len(rows)
-
-
-def test_version(ovmot_command: Command) -> None:
-    outcome = ovmot_command("--version")
-    assert (outcome.code, outcome.out) == (0, f"ovmot {ovmot.__version__}\n")
 
 
 def test_settings_lists_every_key(ovmot_command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -318,27 +315,44 @@ def test_a_folder_whose_name_is_no_text(painted_euroc: Path, tmp_path: Path) -> 
     assert json.loads((out / "run.json").read_text())["ended"] == "finished"
 
 
-def test_the_first_use_is_asked_before_data_is_opened_and_compiles_after(
+def test_the_first_run_compiles_beside_what_it_begins_with(
     ovmot_command: Command, painted_euroc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reading a calibration compiles a kernel; a mistake in the input must not wait for others."""
-    asked: list[str] = []
+    """A mistake in the input does not wait for it."""
+    done: list[str] = []
     opened = ovmot.open
 
-    def first_use() -> bool:
-        asked.append("first use?")
-        return True
+    class Noted(AbstractContextManager["Noted"]):
+        def __enter__(self) -> Self:
+            done.append("begin")
+            return self
+
+        def wait(self, on_progress: Callable[[int, int], None]) -> None:
+            on_progress(1, 2)
+            done.append("wait")
+
+        def __exit__(self, *_: object) -> None:
+            done.append("end")
 
     def noted(*arguments: Any) -> Any:
-        asked.append("open")
+        done.append("open")
         return opened(*arguments)
 
-    monkeypatch.setattr(cli, "nothing_is_compiled", first_use)
+    monkeypatch.setattr(processes, "needs_warm_up", lambda: True)
+    monkeypatch.setattr(processes, "WarmUp", Noted)
     monkeypatch.setattr(ovmot, "open", noted)
-    monkeypatch.setattr(ovmot, "warm_up", lambda: asked.append("compile"))
     run = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", *FAST)
     assert run.code == 0
-    assert asked == ["first use?", "open", "compile"]
-    asked.clear()
+    assert "compiles" in run.err
+    assert done == ["begin", "open", "wait", "end"]
+    done.clear()
     assert ovmot_command("run", tmp_path / "none", "-o", tmp_path / "no").code == 2
-    assert "compile" not in asked
+    assert done == ["begin", "open", "end"]
+
+
+def test_a_key_near_to_the_one_that_was_meant(ovmot_command: Command) -> None:
+    told = ovmot_command("config", "--set", "tracker.max_feature=80")
+    assert told.code == 2
+    assert (
+        "unknown key 'tracker.max_feature'; did you mean 'tracker.max_features'?" in told.complaint
+    )

@@ -75,7 +75,7 @@ def test_folders_that_are_no_data_set(tmp_path: Path, euroc: Path, kaist: Path) 
         open_sequence(tmp_path / "gone")
     with pytest.raises(InputError, match="not a folder"):
         open_sequence(euroc / "mav0" / "imu0" / "data.csv")
-    with pytest.raises(InputError, match=r"no known kind.*euroc: .*kaist: .*kitti: "):
+    with pytest.raises(InputError, match=r"no known kind.*by --format.*: euroc, kaist"):
         open_sequence(tmp_path)
     shutil.copytree(euroc / "mav0", kaist / "mav0")
     with pytest.raises(InputError, match="looks like euroc and kaist; choose with --format"):

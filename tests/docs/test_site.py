@@ -40,12 +40,12 @@ def test_code_inside_an_item() -> None:
 
 def test_links_follow_the_pages() -> None:
     wanted: list[str] = []
-    text = "[a](../BENCHMARK.md#how-fast) [b](../ros) [c](../examples/demo.py) [d](https://x.org/)"
+    text = "[a](../BENCHMARK.md#how-fast) [b](../benchmarks) [c](../examples/read_run.py) [d](https://x.org/)"
     moved = relink(text, "performance.md", wanted.append)
     assert moved == (
-        "[a](benchmark.md#how-fast) b [c](source/examples/demo.py.md) [d](https://x.org/)"
+        "[a](benchmark.md#how-fast) b [c](source/examples/read_run.py.md) [d](https://x.org/)"
     )
-    assert wanted == ["examples/demo.py"]
+    assert wanted == ["examples/read_run.py"]
     assert relink("[a](docs/adr/001-x.md)", "changelog.md") == "[a](adr/001-x.md)"
     assert relink("[a](../house.md)", "adr/001-x.md") == "[a](../house.md)"
     assert site_path("src/ovmot/settings.py") == "settings.md"

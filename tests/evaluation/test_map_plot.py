@@ -29,4 +29,16 @@ def test_tracks_stand_in_the_truth_s_world() -> None:
     (panel,) = map_figure(SERIES, (frame,)).axes
     drawn = [np.asarray(line.get_xydata()).tolist() for line in panel.lines]
     assert drawn.count([[10.0, 3.0]]) == 2  # the object and its track
-    assert {text.get_text() for text in panel.texts} == {"7", "track 0"}
+    assert {text.get_text() for text in panel.texts} == {"7"}  # no room for the track's, too
+
+
+def test_tracks_look_like_tracks_and_not_like_the_rig() -> None:
+    frames = [
+        compare_frame(objects_at(25.0), tracks_at(x), np.eye(4), np.eye(4), ObjectCriteria())
+        for x in (10.0, 20.0)
+    ]
+    (panel,) = map_figure(SERIES, frames).axes
+    assert {text.get_text() for text in panel.texts} == {"7", "#0"}
+    color_of = {str(line.get_label()): line.get_color() for line in panel.lines}
+    estimate = next(name for name in color_of if name.startswith("estimated path"))
+    assert len({color_of["tracks (#)"], color_of[estimate], color_of["true path"]}) == 3

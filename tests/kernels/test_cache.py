@@ -10,7 +10,14 @@ import numba
 import pytest
 
 import ovmot
-from ovmot.kernels.cache import code_folder, compiled, compiled_sources, is_first_use
+from ovmot.kernels.cache import (
+    code_folder,
+    code_folders,
+    compiled,
+    compiled_sources,
+    has_code,
+    warm_stamp,
+)
 
 SCRIPT = """
 import sys
@@ -28,7 +35,7 @@ KERNEL = (
 
 def run(folder: Path, cache: Path, **extra: str) -> str:
     """Hits in the cache and the kernel's value, of a process of its own."""
-    source = Path(__file__).parents[1] / "src"
+    source = Path(ovmot.__file__).parents[1]
     path = os.pathsep.join([str(folder), str(source)])
     own = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
     environment = {**os.environ, **own, **extra}
@@ -126,21 +133,37 @@ def test_nothing_of_the_process_is_changed(tmp_path: Path) -> None:
     assert vars(numba.config)["CACHE_DIR"] == folder_before
 
 
-def test_the_first_use_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cache = tmp_path / "cache"
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+def test_what_is_kept_is_counted_and_stamped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     package = tmp_path / "package"
     package.mkdir()
     source = package / "small_kernel.py"
     source.write_text(KERNEL.format("i"))
-    assert is_first_use(package)
-    folder = code_folder(source)
-    assert folder is not None
-    (folder / "of_this_path").mkdir()
-    (folder / "of_this_path" / "kernel.nbi").write_bytes(b"")
-    assert not is_first_use(package)
+    (folder,), stamp = code_folders(package), warm_stamp(package)
+    assert stamp is not None
+    assert not has_code(folder)
+    (folder / "kernel.nbi").write_bytes(b"")
+    assert has_code(folder)
     source.write_text(KERNEL.format("i * i"))  # another version
-    assert is_first_use(package)
+    assert code_folders(package) != [folder]
+    assert warm_stamp(package) != stamp
+    source.write_text(KERNEL.format("i"))
+    assert warm_stamp(package) == stamp
+    monkeypatch.setattr("numba.config.CPU_NAME", "nehalem")
+    assert warm_stamp(package) != stamp
+
+
+def test_the_same_source_elsewhere_is_the_same_code(folder: Path, tmp_path: Path) -> None:
+    """Another environment, another day: what was compiled is found again."""
+    cache = tmp_path / "cache"
+    assert run(folder, cache) == "0 2470"
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "small.py").write_text((folder / "small.py").read_text())
+    os.utime(elsewhere / "small.py", ns=(10**18, 10**18))
+    assert run(elsewhere, cache) == "1 2470"
 
 
 def test_the_key_covers_what_a_kernel_calls() -> None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Work = Callable[[Job], Outcome]
+Say = Callable[[str], None]
+"""Is given a line about a worker that died."""
 
 
 class Executor(Protocol):
@@ -35,9 +37,12 @@ class LocalProcesses:
     were under way are tried again one at a time, each in a pool of its own.
     """
 
-    def __init__(self, workers: int | None = None, retries: int = 2) -> None:
+    def __init__(
+        self, workers: int | None = None, retries: int = 2, on_death: Say = lambda line: None
+    ) -> None:
         self._workers = workers or os.cpu_count() or 1
         self._retries = retries
+        self._on_death = on_death
 
     def __call__(self, work: Work, jobs: Sequence[Job]) -> Iterator[Outcome]:
         """Outcomes in the order in which they come."""
@@ -45,6 +50,9 @@ class LocalProcesses:
         while waiting:
             suspects: list[Job] = []
             yield from self._pool(work, waiting, suspects)
+            if suspects:
+                names = ", ".join(job.name for job in suspects)
+                self._on_death(f"a worker died; tried again one at a time: {names}")
             for job in suspects:
                 yield self._alone(work, job)
 
@@ -77,12 +85,12 @@ class LocalProcesses:
                 pool.shutdown(cancel_futures=True)
 
     def _alone(self, work: Work, job: Job) -> Outcome:
-        for _ in range(self._retries):
+        for attempt in range(1, self._retries + 1):
             with self._new_pool(1) as pool:
                 try:
                     return pool.submit(work, job).result()
                 except BrokenProcessPool:
-                    continue
+                    self._on_death(f"{job.name}: its worker died, try {attempt} of {self._retries}")
                 except Exception as error:
                     return unexpected(job, error)
         return Outcome(job.name, f"its process died {self._retries + 1} times")
@@ -98,7 +106,14 @@ class DaskCluster:
     Dask itself moves the jobs of a dead worker to another one, some times; `retries` come on top.
     """
 
-    def __init__(self, address: str, retries: int = 2, timeout_s: float = 10.0) -> None:
+    def __init__(
+        self,
+        address: str,
+        retries: int = 2,
+        timeout_s: float = 10.0,
+        on_death: Say = lambda line: None,
+    ) -> None:
+        self._on_death = on_death
         self._address = address
         self._retries = retries
         self._timeout_s = timeout_s
@@ -119,6 +134,7 @@ class DaskCluster:
                     yield done.result()
                 elif isinstance(error, KilledWorker) and tries[job.name] < self._retries:
                     tries[job.name] += 1
+                    self._on_death(f"{job.name}: its worker died, try {tries[job.name]}")
                     again = client.submit(work, job, pure=False)
                     job_of[again] = job
                     queue.add(again)

@@ -1,61 +1,59 @@
-"""The command line: thin; errors become one line and an exit code here alone."""
+"""The command line: thin; errors become one line and an exit code here alone.
+
+What a command needs is imported in it: `ovmot --help` and shell completion load no library but
+Typer.
+"""
 
 import io
 import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
-import ovmot
-from ovmot import InputError, OvmotError, RecordedSequence, RunOptions
-from ovmot.batch.batch import run_batch
-from ovmot.batch.execute import DaskCluster, Executor, LocalProcesses
-from ovmot.batch.plan import read_plan
-from ovmot.batch.summary import summary_tables
-from ovmot.batch.work import work
+from ovmot.cli.batch import batch
 from ovmot.cli.calibrate import calibrate
 from ovmot.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FAILED,
     NOTHING_WRITTEN,
-    compile_where,
     interruptible,
-    nothing_is_compiled,
-    printable,
-    progress,
     say,
     say_warning,
     show,
-    stages,
 )
+from ovmot.cli.demo import demo
 from ovmot.cli.doctor import doctor
 from ovmot.cli.live import ros, ros2
+from ovmot.cli.names import PRESET_FORMATS, SCENES, WRITER_FORMATS
 from ovmot.cli.options import (
     CalibrationOption,
     FormatOption,
     ImuOption,
+    JsonLinesOption,
     LeftOption,
+    QuietOption,
     RerunOption,
     RightOption,
     SequenceOption,
     SetOption,
     ViewOption,
-    preset_lines,
 )
-from ovmot.cli.recorded import open_recorded
 from ovmot.cli.report import report, report_of_run
 from ovmot.cli.rerun import rerun_output
-from ovmot.ros.bag_output import BagOutput
+from ovmot.cli.settings import config, settings
+from ovmot.cli.version import version_lines
+from ovmot.cli.warmup import warmup
+from ovmot.errors import InputError, OvmotError
 from ovmot.runtime import take_signals_as_interrupts
 
+if TYPE_CHECKING:
+    from ovmot import Output, RecordedSequence, RunContext, View
+
 app = typer.Typer(
-    name="ovmot", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    name="ovmot", no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
     help="Stereo-inertial odometry and moving-object tracks, without learned models.",
 )  # fmt: skip
 
@@ -89,14 +87,17 @@ def main() -> None:
 
 @app.callback(invoke_without_command=True)
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print versions and processor, and exit.")
+    ] = False,
 ) -> None:
     if version:
-        typer.echo(f"ovmot {ovmot.__version__}")
+        for line in version_lines():
+            typer.echo(line)
         raise typer.Exit
 
 
-@app.command(epilog="\n\n".join(preset_lines()))
+@app.command(short_help="Run a recorded sequence.")
 def run(
     data: Annotated[
         Path,
@@ -113,7 +114,7 @@ def run(
         Path | None,
         typer.Option(
             help="YAML of settings that differ, or an estimator_config.yaml of OpenVINS; overrules"
-            f" the format's preset ({', '.join(ovmot.PRESETS)}; see below)."
+            f" the format's preset ({', '.join(PRESET_FORMATS)}: see 'ovmot settings')."
         ),
     ] = None,
     set_: SetOption = None,
@@ -147,36 +148,50 @@ def run(
     force: Annotated[
         bool, typer.Option("--force", help="Replace the run that the folder holds.")
     ] = False,
-    first: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
-    last: Annotated[int | None, typer.Option(min=0, help="Last frame.")] = None,
+    first: Annotated[
+        int, typer.Option(min=0, metavar="N", help="First frame, counted from 0.")
+    ] = 0,
+    last: Annotated[int | None, typer.Option(min=0, metavar="N", help="Last frame.")] = None,
     threads: Annotated[
-        int, typer.Option(min=1, max=2, help="Threads of the odometry; the results are the same.")
+        int,
+        typer.Option(
+            min=1, max=2, metavar="N", help="Threads of the odometry; the results are the same."
+        ),
     ] = 2,
+    quiet: QuietOption = False,
+    json_lines: JsonLinesOption = False,
 ) -> None:
     """Run a recorded sequence and write trajectory, points, tracks and timing."""
-    ovmot.prepare_process()
-    first_use = nothing_is_compiled()
+    import ovmot
+    from ovmot.cli.compiling import compiling
+    from ovmot.cli.progress import HealthWatch, progress, say_result, style_of
+    from ovmot.cli.recorded import open_recorded
+
+    style = style_of(quiet, json_lines)
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
-    topics = ovmot.BagTopics(left, right, imu)
-    given, recorded = open_recorded(
-        data, format, sequence, calibration, topics, config, overrides, need_imu_pose=ego is None
-    )
-    settings = recorded.settings(given.settings)
-    for warning in recorded.warnings:
-        say(f"ovmot: warning: {warning}")
-    more = [] if bag is None else [_bag_output(bag, recorded, view if video else None, force)]
-    if rerun is not None:
-        more.append(rerun_output(rerun, force))
-    options = RunOptions(
-        out, _ego_poses(ego), save_points, video, force, first, last, masks, tuple(more),
-        given.mask_files, threads, view, preview=not no_report,
-    )  # fmt: skip
+    with compiling(style) as wait_for_kernels:
+        ovmot.prepare_process()
+        topics = ovmot.BagTopics(left, right, imu)
+        given, recorded = open_recorded(
+            data, format, sequence, calibration, topics, config, overrides,
+            need_imu_pose=ego is None,
+        )  # fmt: skip
+        settings = recorded.settings(given.settings)
+        for warning in recorded.warnings:
+            say(f"ovmot: warning: {warning}")
+        watch = HealthWatch()
+        more = [] if bag is None else [_bag_output(bag, recorded, view if video else None, force)]
+        if rerun is not None:
+            more.append(rerun_output(rerun, force))
+        options = ovmot.RunOptions(
+            out, _ego_poses(ego), save_points, video, force, first, last, masks, (watch, *more),
+            given.mask_files, threads, view, preview=not no_report,
+        )  # fmt: skip
+        wait_for_kernels()
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
-    with interruptible(NOTHING_WRITTEN):
-        compile_where(first_use)
     with (
         interruptible("what was done until here is written whole"),
-        progress("run", max(stop - first, 0)) as advance,
+        progress("run", max(stop - first, 0), style, watch) as advance,
     ):
         summary = ovmot.run_sequence(
             recorded, settings, options, advance, lambda why: say(f"ovmot: {why}")
@@ -187,25 +202,38 @@ def run(
     written = summary.counts["frames_written"]
     rate = written / max(summary.wall_seconds, 1e-9)
     took = f"{summary.wall_seconds:.1f} s ({rate:.1f} frames/s)"
-    typer.echo(printable(f"{written} frames in {took} -> {out}"))
+    say_result(
+        style, f"{written} frames in {took} -> {out}",
+        frames=written, seconds=round(summary.wall_seconds, 3), out=str(out),
+    )  # fmt: skip
     if not no_report:
-        report_of_run(out)
+        report_of_run(out, style)
 
 
-@app.command()
+@app.command(short_help="Render a street as a recorded sequence, with its truth.")
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write into: new or empty.")],
     scene: Annotated[
-        str, typer.Option(help=f"A scene ({', '.join(ovmot.SCENES)}) or a YAML file of one.")
+        str,
+        typer.Option(
+            metavar="NAME|FILE",
+            help=f"A scene ({', '.join(SCENES)}) or a YAML file of one.",
+            autocompletion=lambda incomplete: [n for n in SCENES if n.startswith(incomplete)],
+        ),
     ] = "traffic",
     path: Annotated[
         str | None,
         typer.Option(
-            help="The rig's path: stand, walk, drive, or a TUM file; else the scene's own."
+            metavar="NAME|FILE",
+            help="The rig's path: stand, walk, drive, or a TUM file; else the scene's own.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another street.")] = 0,
-    format: Annotated[str, typer.Option(help=f"Layout: {', '.join(ovmot.WRITERS)}.")] = "kaist",
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Another seed, another street.")
+    ] = 0,
+    format: Annotated[
+        str, typer.Option(metavar="NAME", help=f"Layout: {', '.join(WRITER_FORMATS)}.")
+    ] = "kaist",
     size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Image size; else the scene's.")
     ] = None,
@@ -215,25 +243,31 @@ def simulate(
     duration: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Length; else the scene's.")
     ] = None,
+    quiet: QuietOption = False,
+    json_lines: JsonLinesOption = False,
 ) -> None:
     """Render a street as a recorded sequence, with the truth beside it."""
-    ovmot.prepare_process()
-    if format not in ovmot.WRITERS:
-        known = ", ".join(ovmot.WRITERS)
+    import ovmot
+    from ovmot.cli.progress import progress, say_result, style_of
+
+    style = style_of(quiet, json_lines)
+    if format not in WRITER_FORMATS:
+        known = ", ".join(WRITER_FORMATS)
         raise InputError(f"--format {format}: unknown; choose one of {known}")
+    ovmot.prepare_process()
     simulated = ovmot.simulate(
         scene, seed=seed, path=path, size=_size(size), rate_hz=rate, duration_s=duration
     )
     total = len(simulated)
     with (
         interruptible(f"{out} holds an unfinished sequence: delete it"),
-        progress("simulate", total) as advance,
+        progress("simulate", total, style) as advance,
     ):
         simulated.write(out, format, advance)
-    typer.echo(printable(f"{total} frames -> {out}"))
+    say_result(style, f"{total} frames -> {out}", frames=total, out=str(out))
 
 
-@app.command()
+@app.command(short_help="Hold a run against the truth.")
 def evaluate(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     truth: Annotated[
@@ -249,6 +283,8 @@ def evaluate(
     ] = False,
 ) -> None:
     """Hold a run against the truth: a table, metrics.json and plots, written into the run."""
+    import ovmot
+
     with interruptible(NOTHING_WRITTEN):
         evaluation = ovmot.evaluate(run, truth, sequence=sequence)
     ovmot.write_metrics(run, evaluation)
@@ -259,79 +295,23 @@ def evaluate(
         say(f"every metric: {run / 'metrics.json'}, or --all")
 
 
-@app.command()
-def batch(
-    plan: Annotated[Path, typer.Argument(help="YAML file: sequences, settings, seeds.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into, or to go on in.")],
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Local processes; else one a core.")
-    ] = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="A Dask scheduler, in place of local processes."),
-    ] = None,
-    retries: Annotated[
-        int, typer.Option(min=0, help="How often a run whose worker died is tried again.")
-    ] = 2,
-    monte_carlo: Annotated[
-        int | None, typer.Option(min=2, metavar="N", help="Seeds 0 to N-1, and the consistency.")
-    ] = None,
-) -> None:
-    """Run sequences x settings x seeds and add up their metrics; goes on where it stopped."""
-    if cluster is not None and workers is not None:
-        raise InputError("--workers counts local processes: leave it out with --cluster")
-    execute: Executor = (
-        LocalProcesses(workers, retries) if cluster is None else DaskCluster(cluster, retries)
-    )
-    todo = read_plan(plan)
-    with (
-        interruptible(f"finished runs stay in {out}; the same command goes on"),
-        stages() as advance,
-    ):
-        summary = run_batch(todo, out, execute, work, monte_carlo=monte_carlo, on_progress=advance)
-    for table in summary_tables(summary, todo.metrics):
-        show(table)
-    for name, failure in summary.failures.items():
-        say(f"ovmot: {name}: {failure}")
-    typer.echo(printable(f"report -> {out / 'report.html'}"))
-    if summary.failures:
-        raise typer.Exit(EXIT_FAILED)
-
-
-app.command()(report)
-app.command()(doctor)
-app.command()(calibrate)
-app.command()(ros)
-app.command()(ros2)
-
-
-@app.command()
-def warmup() -> None:
-    """Compile ahead what the first run on a machine would compile."""
-    ovmot.warm_up()
-
-
-@app.command()
-def settings() -> None:
-    """List every setting with its type, default and meaning, and the presets of formats."""
-    console = Console()
-    if not console.is_terminal:
-        for key, kind, default, meaning in ovmot.describe_settings():
-            typer.echo(f"{key} = {default}  ({kind}) {meaning}")
-        for line in preset_lines():
-            typer.echo(line)
-        return
-    table = Table(Column("setting", no_wrap=True), "type", "default", "meaning")
-    for row in ovmot.describe_settings():
-        table.add_row(*(Text(cell) for cell in row))
-    console.print(table)
-    for line in preset_lines():
-        console.print(Text(line))
+app.command(short_help="Simulate, run and evaluate a small street.")(demo)
+app.command(short_help="Run sequences x settings x seeds, and add up.")(batch)
+app.command(short_help="Make a page of finished runs.")(report)
+app.command(short_help="Say what is wrong or doubtful in a sequence.")(doctor)
+app.command(short_help="Write a calibration as a Kalibr chain.")(calibrate)
+app.command(short_help="Run live on ROS 1.")(ros)
+app.command(short_help="Run live on ROS 2.")(ros2)
+app.command(short_help="List the settings, or those with a text.")(settings)
+app.command(short_help="Print the settings that a run would have as YAML.")(config)
+app.command(short_help="Compile ahead what the first run compiles.")(warmup)
 
 
 def _bag_output(
-    path: Path, recorded: RecordedSequence, view: ovmot.View | None, force: bool
-) -> Callable[[ovmot.RunContext], ovmot.Output]:
+    path: Path, recorded: "RecordedSequence", view: "View | None", force: bool
+) -> "Callable[[RunContext], Output]":
+    from ovmot.ros.bag_output import BagOutput
+
     read, written = recorded.root.resolve(), path.resolve()
     if recorded.kind == "bag" and read in (written, *written.parents):
         raise InputError.at(path, "is the bag that is read", "choose another name with --bag")

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-import ovmot
-from ovmot.cli.console import NOTHING_WRITTEN, interruptible, printable, progress, say, show
+from ovmot.cli.console import NOTHING_WRITTEN, interruptible, printable, say, show
 from ovmot.cli.options import (
     CalibrationOption,
     FormatOption,
@@ -17,8 +16,9 @@ from ovmot.cli.options import (
     SequenceOption,
     SetOption,
 )
-from ovmot.cli.recorded import open_recorded
-from ovmot.run_calibration import calibration_table, run_calibration, write_run_calibration
+
+if TYPE_CHECKING:
+    from ovmot import WrittenCalibration
 
 _RUN_JSON = "run.json"
 
@@ -49,6 +49,10 @@ def calibrate(
     That which a run has estimated, with each value before and after; of a recorded sequence, one is
     run for that. What the motion does not show stays as it was. With --as-is, what the data has.
     """
+    import ovmot
+    from ovmot.cli.progress import progress
+    from ovmot.cli.recorded import open_recorded
+
     if not as_is and (data / _RUN_JSON).is_file():
         _write_found(data, data, out, force)
         return
@@ -72,12 +76,14 @@ def calibrate(
 
 
 def _write_found(data: Path, run: Path, out: Path, force: bool) -> None:
+    from ovmot.run_calibration import calibration_table, run_calibration, write_run_calibration
+
     found = run_calibration(run)
     show(calibration_table(found))
     _say_written(data, write_run_calibration(run, out, found, overwrite=force))
 
 
-def _say_written(source: Path, written: ovmot.WrittenCalibration) -> None:
+def _say_written(source: Path, written: "WrittenCalibration") -> None:
     for note in written.notes:
         say(f"ovmot: warning: {note}")
     typer.echo(printable(f"{source} -> {', '.join(map(str, written.files))}"))

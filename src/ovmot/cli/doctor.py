@@ -1,12 +1,11 @@
 """`ovmot doctor`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-import ovmot
-from ovmot.cli.console import EXIT_FAILED, NOTHING_WRITTEN, interruptible, printable, progress, show
+from ovmot.cli.console import EXIT_FAILED, NOTHING_WRITTEN, interruptible, printable, show
 from ovmot.cli.options import (
     CalibrationOption,
     FormatOption,
@@ -16,10 +15,10 @@ from ovmot.cli.options import (
     SequenceOption,
     SetOption,
 )
-from ovmot.cli.recorded import open_recorded
-from ovmot.doctor.examine import examine, sampled_frames
-from ovmot.doctor.fix import fixed_settings, write_settings
-from ovmot.doctor.report import Report, report_table, write_report
+
+if TYPE_CHECKING:
+    from ovmot import Settings
+    from ovmot.doctor.report import Report
 
 
 def doctor(
@@ -46,6 +45,12 @@ def doctor(
     ] = None,
 ) -> None:
     """Say what is wrong or doubtful in a sequence before it is run; exit code 1 if it is wrong."""
+    import ovmot
+    from ovmot.cli.progress import progress
+    from ovmot.cli.recorded import open_recorded
+    from ovmot.doctor.examine import examine, sampled_frames
+    from ovmot.doctor.report import report_table, write_report
+
     ovmot.prepare_process()
     topics = ovmot.BagTopics(left, right, imu)
     given, recorded = open_recorded(
@@ -67,7 +72,9 @@ def doctor(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _write_fix(path: Path, report: Report, given: ovmot.Settings) -> None:
+def _write_fix(path: Path, report: "Report", given: "Settings") -> None:
+    from ovmot.doctor.fix import fixed_settings, write_settings
+
     sections = fixed_settings(report, given)
     if sections is None:
         typer.echo(printable(f"nothing that settings could mend: {path} is not written"))

@@ -5,13 +5,23 @@ from typing import Annotated
 
 import typer
 
-from ovmot import DATASETS, PRESETS, View
+from ovmot.cli.names import FORMATS, View
+
+
+def _formats(incomplete: str) -> list[str]:
+    return [name for name in FORMATS if name.startswith(incomplete)]
+
 
 FormatOption = Annotated[
-    str | None, typer.Option(help=f"Kind of data: {', '.join(DATASETS)}; else recognised.")
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"Kind of data: {', '.join(FORMATS)}; else recognised.",
+        autocompletion=_formats,
+    ),
 ]
 SequenceOption = Annotated[
-    str | None, typer.Option(help="Which sequence, where the folder holds several.")
+    str | None, typer.Option(metavar="NAME", help="Which sequence, where the folder holds several.")
 ]
 CalibrationOption = Annotated[
     Path | None,
@@ -38,7 +48,14 @@ ImuOption = Annotated[
     str | None, typer.Option(metavar="TOPIC", help="Topic of a bag's IMU; else found.")
 ]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="One setting: section.key=value; repeatable.")
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="One setting; repeatable."),
+]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Say nothing but warnings and errors.")
+]
+JsonLinesOption = Annotated[
+    bool, typer.Option("--json-lines", help="Say progress and result as lines of JSON.")
 ]
 ViewOption = Annotated[
     View,
@@ -53,11 +70,3 @@ RerunOption = Annotated[
         help="Record the run for Rerun's viewer, or show it there as it goes on.",
     ),
 ]
-
-
-def preset_lines() -> list[str]:
-    """The presets in words, one line a format."""
-    return [
-        f"preset of {name}: {', '.join(f'{key}={value}' for key, value in preset.values.items())}"
-        for name, preset in PRESETS.items()
-    ]

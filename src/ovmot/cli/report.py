@@ -1,13 +1,15 @@
 """`ovmot report`, and the page at the end of a run."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-import ovmot
 from ovmot.cli.console import NOTHING_WRITTEN, interruptible, printable, say
 from ovmot.errors import is_interrupt
+
+if TYPE_CHECKING:
+    from ovmot.cli.progress import Style
 
 
 def report(
@@ -25,13 +27,18 @@ def report(
     ] = None,
 ) -> None:  # fmt: skip
     """Make a page of finished runs: map, overlay, plots, tables; it works offline."""
+    import ovmot
+
     with interruptible(NOTHING_WRITTEN):
         path = ovmot.write_report(runs, out, truth)
     typer.echo(printable(f"-> {path}"))
 
 
-def report_of_run(out: Path) -> None:
+def report_of_run(out: Path, style: "Style") -> None:
     """Make the page of a run that has ended; what goes wrong there is one warning."""
+    import ovmot
+    from ovmot.cli.progress import say_event
+
     try:
         with interruptible(f"the run is whole; make its page by 'ovmot report {out}'"):
             path = ovmot.write_report([out])
@@ -40,4 +47,4 @@ def report_of_run(out: Path) -> None:
             raise
         say(f"ovmot: warning: no report.html: {error}")
     else:
-        typer.echo(printable(f"report -> {path}"))
+        say_event(style, "report", f"report -> {path}", path=str(path))

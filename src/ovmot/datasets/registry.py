@@ -204,9 +204,11 @@ def open_sequence(
         root, sequence = root / sequence, None
         kinds = recognise(root)
     if len(kinds) != 1:
-        what = f"looks like {' and '.join(kinds)}" if kinds else "no known kind of data set"
-        known = "; ".join(f"{kind}: {data.reader.needs}" for kind, data in DATASETS.items())
-        raise InputError.at(root, what, f"choose with --format. Known: {known}")
+        if kinds:
+            what = f"looks like {' and '.join(kinds)}"
+            raise InputError.at(root, what, "choose with --format")
+        remedy = f"name it by --format to be told what is missing: {', '.join(DATASETS)}"
+        raise InputError.at(root, "no known kind of data set", remedy)
     return _read(kinds[0], root, sequence, chain, limits, imu_max_gap_s)
 
 

@@ -13,12 +13,15 @@ import hashlib
 import os
 import pickle
 import re
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding
 import numba
+import numba.core.caching
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _KEY_LENGTH = 16
@@ -42,7 +45,7 @@ def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
         return _njit(function, cache=False, reorder=reorder)
     finally:
         config["CACHE_DIR"] = before
-    dispatcher._cache = _Forgiving(dispatcher._cache)
+    dispatcher._cache = _Forgiving(dispatcher._cache, folder)
     return cast(_F, dispatcher)
 
 
@@ -77,10 +80,17 @@ class _Part:
         functools.update_wrapper(self, function)
         self._options = {"cache": False, "reorder": reorder, "inline": inline}
         self._for_kernels = cast(Any, _njit(function, **self._options, for_kernels=True))
+        self._for_kernels.get_call_template = self._template  # asked where a kernel calls it
         self._numba_type_ = self._for_kernels._numba_type_  # refers to it weakly
 
     def __call__(self, *args: Any) -> Any:
         return self._for_python(*args)
+
+    def _template(self, args: Any, kws: Any) -> Any:
+        """numba's, for an argument's type and not its value: `f(x, 0)` and `f(x, n)` share code."""
+        plain = tuple(numba.types.unliteral(kind) for kind in args)
+        named = {name: numba.types.unliteral(kind) for name, kind in kws.items()}
+        return type(self._for_kernels).get_call_template(self._for_kernels, plain, named)
 
     @functools.cached_property
     def _for_python(self) -> Callable[..., Any]:
@@ -100,16 +110,55 @@ def _njit(
     return cast(_F, decorate(function))
 
 
-def is_first_use(package: Path) -> bool:
-    """Is no code compiled from this folder's `*_kernel.py` kept on this machine yet?"""
-    folders = [code_folder(source) for source in package.rglob("*_kernel.py")]
-    return not any(folder is not None and any(folder.rglob("*.nbi")) for folder in folders)
+def code_folders(package: Path) -> list[Path]:
+    """Those of all `*_kernel.py` of this folder, as far as they can be made."""
+    folders = (code_folder(source) for source in package.rglob("*_kernel.py"))
+    return [folder for folder in folders if folder is not None]
+
+
+def has_code(folder: Path) -> bool:
+    """Is some compiled code kept in it?"""
+    return any(folder.glob("*.nbi"))
+
+
+def warm_stamp(package: Path) -> Path | None:
+    """The file whose presence says that all kernels of this folder are compiled and kept.
+
+    Its name is of their sources, of numba, Python and the processor. None where nothing is kept.
+    """
+    base = _cache_base()
+    if base is None:
+        return None
+    kernels = package.rglob("*_kernel.py")
+    sources = {part_of_it for kernel in kernels for part_of_it in compiled_sources(kernel)}
+    return base / f"warm-{_key_of(sources, numba.__version__, sys.version, *_processor())}"
+
+
+def _key_of(sources: Iterable[Path], *texts: str) -> str:
+    """A hash of the files' texts, wherever they lie and in whatever order, and of more texts."""
+    digests = sorted(hashlib.sha256(source.read_bytes()).digest() for source in sources)
+    return hashlib.sha256(b"".join([*digests, *map(str.encode, texts)])).hexdigest()[:_KEY_LENGTH]
+
+
+def _processor() -> tuple[str, str]:
+    """What code is compiled for: name and features, as numba takes them."""
+    name, features = vars(numba.config)["CPU_NAME"], vars(numba.config)["CPU_FEATURES"]
+    if features is None:
+        features = llvmlite.binding.get_host_cpu_features().flatten()
+    return name or llvmlite.binding.get_host_cpu_name(), features
 
 
 class _Forgiving:
-    """numba's cache of one function, with a spoilt file or a full disk as good as no cache."""
+    """numba's cache of one function, in a folder that stands for its source.
 
-    def __init__(self, inner: Any) -> None:
+    numba's own folder and stamp are of the source's path and time, so that the same text in another
+    environment would be compiled again. A spoilt file or a full disk is as good as no cache.
+    """
+
+    def __init__(self, inner: Any, folder: Path) -> None:
+        inner._cache_path = str(folder)
+        index: Any = numba.core.caching.IndexDataCacheFile
+        inner._cache_file = index(str(folder), inner._impl.filename_base, "")
         self._inner = inner
 
     def __getattr__(self, name: str) -> Any:
@@ -131,20 +180,29 @@ class _Forgiving:
 def code_folder(source: Path) -> Path | None:
     """The folder of the user's cache for the code compiled from this file; None if not writable.
 
-    `$XDG_CACHE_HOME/ovmot` or `~/.cache/ovmot` (XDG Base Directory Specification; a relative path
-    in the variable counts as unset). Its name holds a hash of all source texts that are compiled
-    into the code: see `compiled_sources`.
+    Its name holds a hash of all source texts that are compiled into the code: see
+    `compiled_sources`.
     """
+    base = _cache_base()
+    if base is None:
+        return None
+    try:
+        folder = base / f"{source.stem}-{_key_of(compiled_sources(source))}"
+        folder.mkdir(exist_ok=True)
+        return folder
+    except OSError:  # no disk space
+        return None
+
+
+def _cache_base() -> Path | None:
+    """`$XDG_CACHE_HOME/ovmot` or `~/.cache/ovmot` (XDG Base Directory Specification; a relative
+    path in the variable counts as unset); None if it cannot be made or written."""
     try:
         given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-        base = given if given.is_absolute() else Path.home() / ".cache"
-        key = hashlib.sha256()
-        for part_of_it in compiled_sources(source):
-            key.update(part_of_it.read_bytes())
-        folder = base / "ovmot" / f"{source.stem}-{key.hexdigest()[:_KEY_LENGTH]}"
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
+        base = (given if given.is_absolute() else Path.home() / ".cache") / "ovmot"
+        base.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=base):
+            return base
     except (OSError, RuntimeError):  # no such right, no disk space, no home
         return None
 

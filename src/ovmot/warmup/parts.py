@@ -1,12 +1,10 @@
-"""Compile the kernels ahead of the first run: two processes, each with some parts of them.
+"""The kernels in parts: each calls those of some stages on a second of made-up data.
 
-A kernel is compiled when it is first called, and kept on disk (`kernels.cache`). Each part below
-calls those of some stages on a second of made-up data, as few as can be of another part's.
+A kernel is compiled when it is first called, and kept on disk (`kernels.cache`). As few as can be
+of a part's kernels are another part's.
 """
 
 import gc
-import subprocess
-import sys
 from collections.abc import Callable
 
 import cv2
@@ -14,7 +12,6 @@ import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
-from ovmot.errors import OvmotError
 from ovmot.frontend.given_features import GivenFeatures
 from ovmot.frontend.stereo_tracker import StereoTracker
 from ovmot.geometry import se3
@@ -35,34 +32,10 @@ _N_FRAMES = 30
 _STEP_M = 0.3
 
 
-def warm_up() -> None:
-    """Compile what is not compiled yet; raises `OvmotError` where that fails, and says why."""
-    jobs = {
-        names: subprocess.Popen(
-            [sys.executable, "-c", f"from ovmot.warmup import call; call({names!r})"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )
-        for names in PROCESSES
-    }  # fmt: skip
-    try:
-        for names, job in jobs.items():
-            _, said = job.communicate()
-            if job.returncode:
-                last = said.strip().splitlines()[-1] if said.strip() else f"exit {job.returncode}"
-                what = " and ".join(names)
-                raise OvmotError(f"kernels of the {what} could not be compiled: {last}")
-    finally:
-        for job in jobs.values():
-            if job.poll() is None:  # after an error or Ctrl-C
-                job.kill()
-                job.communicate()
-
-
-def call(names: tuple[str, ...]) -> None:
-    """Call some parts, in a process of their own."""
+def call(name: str) -> None:
+    """Call a part, in a process of its own."""
     gc.disable()  # a compiler makes many small objects, and few cycles
-    for name in names:
-        PARTS[name]()
+    PARTS[name]()
 
 
 def call_front_end() -> None:
@@ -83,14 +56,23 @@ def call_front_end() -> None:
     tracker.close()
 
 
-def call_filter() -> None:
+def call_filter(max_landmarks: int = 0) -> None:
     """Propagation, updates and zero velocity, from features of points at rest."""
     recording = FeatureRecording(_simulation(), 0)
-    settings = Settings(segmentation={"enabled": False}, objects={"enabled": False})
+    settings = Settings(
+        segmentation={"enabled": False},
+        objects={"enabled": False},
+        filter={"max_landmarks": max_landmarks},
+    )
     odometry = feature_odometry(recording, settings)
     for event in recording.events():
         odometry.add(event)
     odometry.finish()
+
+
+def call_slam_features() -> None:
+    """The same with SLAM features."""
+    call_filter(max_landmarks=25)
 
 
 def call_objects() -> None:
@@ -117,12 +99,12 @@ def call_objects() -> None:
 
 
 PARTS: dict[str, Callable[[], None]] = {
-    "front end": call_front_end,
-    "filter": call_filter,
     "objects": call_objects,
+    "filter": call_filter,
+    "front end": call_front_end,
+    "SLAM features": call_slam_features,
 }
-PROCESSES: tuple[tuple[str, ...], ...] = (("filter", "front end"), ("objects",))
-"""The parts that each process calls: about the same amount of code to compile in each."""
+"""In the order in which they begin: what takes longest first, SLAM features after the filter."""
 
 
 def _rig() -> StereoRig:

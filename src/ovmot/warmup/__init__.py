@@ -1,0 +1,1 @@
+"""Compile the kernels ahead of the first run, in processes of their own."""
