@@ -40,7 +40,7 @@ def test_code_inside_an_item() -> None:
 
 def test_links_follow_the_pages() -> None:
     wanted: list[str] = []
-    text = "[a](../BENCHMARK.md#how-fast) [b](../ros) [c](../examples/demo.py) [d](https://x.org/)"
+    text = "[a](../BENCHMARK.md#how-fast) [b](../examples) [c](../examples/demo.py) [d](https://x.org/)"
     moved = relink(text, "performance.md", wanted.append)
     assert moved == (
         "[a](benchmark.md#how-fast) b [c](source/examples/demo.py.md) [d](https://x.org/)"
