@@ -10,6 +10,7 @@ from run_folders import write_run, write_truth
 
 import ovmot
 from ovmot.cameras.rig import StereoRig
+from ovmot.cli.progress import Style
 from ovmot.cli.report import report_of_run
 
 Command = Callable[..., SimpleNamespace]
@@ -42,7 +43,7 @@ def test_a_page_that_fails_is_a_warning(
         raise ValueError("anything at all")
 
     monkeypatch.setattr(ovmot, "write_report", fail)
-    report_of_run(tmp_path)
+    report_of_run(tmp_path, Style.BAR)
     captured = capsys.readouterr()
     assert captured.err.splitlines() == ["ovmot: warning: no report.html: anything at all"]
 
@@ -55,7 +56,7 @@ def test_ctrl_c_during_the_page_says_how_to_make_it(
 
     monkeypatch.setattr(ovmot, "write_report", interrupt)
     with pytest.raises(typer.Exit) as ended:
-        report_of_run(tmp_path)
+        report_of_run(tmp_path, Style.BAR)
     assert ended.value.exit_code == 130
     assert f"ovmot report {tmp_path}" in capsys.readouterr().err
 

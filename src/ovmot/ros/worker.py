@@ -12,7 +12,7 @@ from ovmot.ros.intake import Intake
 from ovmot.ros.session import Session, Sink
 from ovmot.ros.watch import Line, Sight, Watch
 from ovmot.settings import Settings
-from ovmot.warmup import PARTS
+from ovmot.warmup.parts import PARTS
 
 
 def load_kernels() -> None:
