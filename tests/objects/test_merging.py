@@ -55,6 +55,16 @@ def test_two_ends_of_a_lorry_are_one_body_and_two_cars_in_a_queue_are_two() -> N
     assert ids_after((make_track(track_id=0), queue)) == [0, 1]
 
 
+def test_what_has_room_in_one_car_is_one_body() -> None:
+    """A car that comes into view shows first some parts, far from each other."""
+    size, velocity = np.array([0.5, 1.3, 1.0]), (8.0, 0.0, 0.0)
+    front = make_track(velocity=velocity, ids=range(9), track_id=0, size=size)
+    rear = make_track((-3.8, 0.0, 0.0), velocity, ids=(90, 91), track_id=1, size=size)
+    assert ids_after((front, rear)) == [0]
+    behind = make_track((-4.4, 0.0, 0.0), velocity, ids=(90, 91), track_id=1, size=size)
+    assert ids_after((front, behind)) == [0, 1]
+
+
 def test_walkers_arm_in_arm_stay_two() -> None:
     size, velocity = np.array([0.4, 0.5, 1.7]), (0.0, 1.4, 0.0)
     one = make_track(velocity=velocity, ids=(1, 2, 3), track_id=0, size=size)

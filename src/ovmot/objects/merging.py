@@ -8,7 +8,7 @@ import numpy as np
 from ovmot.objects.bodies_kernel import velocity_distance_compiled
 from ovmot.objects.body import rotation_z
 from ovmot.objects.track import Track, TrackState
-from ovmot.physics import CYCLIST_SIZE_M, MAX_VEHICLE_SIZE_M, SIZE_SPREAD, gate
+from ovmot.physics import CAR_SIZE_M, CYCLIST_SIZE_M, MAX_VEHICLE_SIZE_M, SIZE_SPREAD, gate
 
 _MERGE_FRAMES = 3  # in a row after which a track that lies on an older one ends
 _SPEED_SPREAD = 0.3  # m/s by which parts of one body may differ
@@ -55,6 +55,8 @@ def _are_one(track: Track, other: Track) -> bool:
     turned = np.abs(rotation_z(less.box.yaw - more.box.yaw)) @ (0.5 * less.box.hull_size)
     gap = np.maximum(np.abs(offset) - half - turned, 0.0)
     whole = np.maximum(half, offset + turned) - np.minimum(-half, offset - turned)
+    if more.box.is_vehicle and bool((whole[:2] <= np.array(CAR_SIZE_M[:2])).all()):
+        return True  # two vehicles have no room where one car has
     if _beside(track, other):  # as two for a while: two bodies, unless one lies in the other
         return bool(np.hypot(gap[0], gap[1]) == 0.0)
     largest = MAX_VEHICLE_SIZE_M if more.box.is_vehicle else _MAX_RIDER_M
