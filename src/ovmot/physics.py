@@ -60,6 +60,8 @@ MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)
 """Length, width and height of a passenger car."""
+LORRY_SIZE_M = (8.0, 2.5, 3.3)
+"""The same of a lorry of two axles."""
 LEAST_HEIGHT_M = 0.3
 """Every road user rises higher than this: a car's bumper begins there (UN Regulation 42: 0.445 m is
 the height of its test)."""

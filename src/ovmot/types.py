@@ -355,13 +355,14 @@ class ObjectTrack:
     state
         "tentative": new, often false; "confirmed"; "coasting": predicted, not seen in this frame.
     position
-        Middle (3,) of the box around its seen points, in the world, m.
+        Centre (3,) of its box in the world, m.
     velocity
         Velocity (3,) in the world, m/s.
     yaw, yaw_rate
         Heading about the world's z axis from its x axis, rad, and its rate, rad/s.
     size
-        Length, width, height (3,) of the box, m.
+        Length, width, height (3,) of the box, m: of what was seen of it so far, or, where a side of
+        a vehicle was not seen, the usual one.
     box_px
         u_min, v_min, u_max, v_max (4,) in the left image, pixels; NaN where it is not in view.
     n_points
@@ -370,6 +371,10 @@ class ObjectTrack:
         1-sigma (3,) of position and velocity, m and m/s.
     class_probability
         Probability (3,) that it moves as a walker, a cyclist, a vehicle; NaN where not known.
+    std_size
+        1-sigma (3,) of length, width and height, m.
+    std_yaw, std_yaw_rate
+        1-sigma of the heading, rad, and of its rate, rad/s.
     """
 
     track_id: int
@@ -384,6 +389,9 @@ class ObjectTrack:
     std_position: FloatArray
     std_velocity: FloatArray
     class_probability: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    std_size: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    std_yaw: float = float("nan")
+    std_yaw_rate: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

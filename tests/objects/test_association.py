@@ -1,6 +1,4 @@
-"""Data association: distances of single filters, gates, common features."""
-
-from dataclasses import replace
+"""Data association: distances, gates, common features."""
 
 import numpy as np
 import pytest
@@ -12,40 +10,23 @@ from ovmot.objects.association import (
     common_features,
     mahalanobis_distances,
 )
-from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.object_filter import Observation, distance
-from ovmot.objects.track import DRIVES_MPS, as_observation, predict_track, start_track
+from ovmot.objects.track import DRIVES_MPS
+from ovmot.physics import CAR_SIZE_M
 
 
-def random_measurement(seed: int, speed: float) -> ObjectMeasurement:
-    rng = np.random.default_rng(seed)
-    L = 0.1 * rng.normal(0.0, 1.0, (6, 6))
-    P = L @ L.T + 0.01 * np.eye(6)
-    made = measurement(
-        list(rng.normal(0.0, 3.0, 3)), (speed, 0.5, 0.1), (7, 3, 5),
-        size=rng.uniform(0.5, 2.0, 3), span_s=0.4,
-    )  # fmt: skip
-    return replace(made, yaw_rate=0.1, covariance=P, scaled_covariance=P)
-
-
-def test_distances_are_those_of_single_filters() -> None:
-    now_ns = 200_000_000
-    tracks = [
-        predict_track(start_track(k, 0, random_measurement(k, v)), now_ns)
-        for k, v in enumerate((1.0, 8.0, DRIVES_MPS + 0.5))
-    ]
-    seen = [random_measurement(10, 8.2), replace(random_measurement(11, 1.0), span_s=0.1)]
-    found = mahalanobis_distances(tracks, seen, now_ns)
-    for i, track in enumerate(tracks):
-        for j, m in enumerate(seen):
-            size = np.maximum(track.size, m.size)
-            whole = as_observation(m, size, 0.2)
-            R = whole.covariance[:6, :6].copy()
-            if np.hypot(*track.velocity[:2]) > DRIVES_MPS:  # its other end may be seen
-                along = track.velocity / np.hypot(*track.velocity[:2])
-                R[:3, :3] += (0.25 * (4.5 - size[0])) ** 2 * np.outer(along, along)
-            six = Observation(whole.H[:6], whole.value[:6], R)
-            assert found[i, j] == pytest.approx(distance(track.filter, six), rel=1e-9)
+@pytest.mark.parametrize("speed", [DRIVES_MPS - 0.5, DRIVES_MPS + 0.5])
+def test_distances_are_those_of_the_state_and_of_where_the_points_may_lie(speed: float) -> None:
+    """A quarter of the size to either side; of what drives the other end may be seen."""
+    track = make_track((5.0, 0.0, 1.0), (speed, 0.0, 0.0))
+    seen = measurement((5.6, 0.2, 1.0), (speed + 0.3, 0.1, 0.0), span_s=0.4)
+    found = mahalanobis_distances([track], [seen], track.measured_ns + 200_000_000)
+    R = seen.covariance.copy()
+    R[:3, :3] += (0.25 * track.size[0]) ** 2 * np.eye(3)
+    S = track.covariance + 2.0 * R  # of 0.4 s, in 0.2 s
+    if speed > DRIVES_MPS:
+        S[0, 0] += (0.25 * max(CAR_SIZE_M[0] - track.size[0], 0.0)) ** 2
+    r = np.concatenate([seen.position - track.position, seen.velocity - track.velocity])
+    assert found[0, 0] == pytest.approx(r @ np.linalg.solve(S, r), rel=1e-6)
 
 
 def test_common_features_are_a_share_of_the_smaller_set() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from object_fixtures import FRAME_NS, T_WORLD_CAM0, make_track, scene_points, small_rig
 
+from ovmot.objects.body_kernel import BodyState
 from ovmot.objects.output import to_object_track
 from ovmot.objects.track import Track, TrackState
 from ovmot.types import ObjectTrack
@@ -24,10 +25,10 @@ def test_fields_are_those_of_the_track() -> None:
     np.testing.assert_array_equal(out.position, track.position)
     np.testing.assert_array_equal(out.velocity, track.velocity)
     np.testing.assert_array_equal(out.box_px, [0.0, 1.0, 8.0, 9.0])
-    variance = np.diag(track.filter.best.covariance)
-    np.testing.assert_allclose(
-        np.concatenate([out.std_position, out.std_velocity]) ** 2, variance[:6]
-    )
+    variance = np.diag(track.covariance)
+    np.testing.assert_allclose(np.concatenate([out.std_position, out.std_velocity]) ** 2, variance)
+    np.testing.assert_array_equal(out.std_size, track.box.std_size)
+    assert out.std_yaw == pytest.approx(np.sqrt(track.heading.variance))
 
 
 @pytest.mark.parametrize(
@@ -43,9 +44,7 @@ def test_a_missed_track_stays_confirmed_while_it_is_known_in_view(
     x: float, sigma_m: float, missed_s: float, state: str
 ) -> None:
     track = make_track((x, 0.0, 1.0), state=TrackState.COASTING)
-    models = {
-        name: replace(e, covariance=sigma_m**2 * np.eye(7))
-        for name, e in track.filter.models.items()
-    }
-    track = replace(track, filter=replace(track.filter, models=models))
+    before = track.body.state
+    unsure = BodyState(before.x, before.f, sigma_m**2 * np.eye(len(before.P)))
+    track = replace(track, body=replace(track.body, state=unsure))
     assert converted(track, FRAME_NS + round(1e9 * missed_s)).state == state

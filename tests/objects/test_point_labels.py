@@ -89,7 +89,7 @@ def test_where_a_body_moves_rest_must_be_seen(x_m: float, label: int) -> None:
     arguments = np.full(3, -1), [body], motions(v, x_m), NOTHING_BEFORE
     points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
     assert points.label.tolist() == [label, STATIC, STATIC]
-    standing = replace(body, filter=track(np.zeros(3)).filter)
+    standing = replace(body, body=track(np.zeros(3)).body)
     arguments = np.full(3, -1), [standing], motions(v, x_m), NOTHING_BEFORE
     points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
     assert points.label.tolist() == [STATIC] * 3

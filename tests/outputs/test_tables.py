@@ -124,10 +124,10 @@ def test_tracks_text(tmp_path: Path, make_result: Maker) -> None:
     assert (tmp_path / "t").read_text() == (
         "timestamp_ns,track_id,state,x,y,z,vx,vy,vz,yaw,yaw_rate,length,width,height,"
         "u_min,v_min,u_max,v_max,n_points,std_x,std_y,std_z,std_vx,std_vy,std_vz,"
-        "p_walker,p_cyclist,p_vehicle\n"
+        "p_walker,p_cyclist,p_vehicle,std_length,std_width,std_height,std_yaw,std_yaw_rate\n"
         "5,3,confirmed,10.0000,1.5000,0.5000,-4.0000,0.2500,0.0000,0.100000,,4.0000,1.7500,1.5000,"
         "50.00,40.00,90.50,80.00,12,0.1000,0.2000,0.3000,0.4000,0.5000,,"
-        "0.1250,0.2500,0.6250\n"
+        "0.1250,0.2500,0.6250,,,,,\n"
     )
 
 

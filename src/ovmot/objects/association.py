@@ -56,9 +56,8 @@ def mahalanobis_distances(
     What drives is longer than what may have been seen of it: after an occlusion its other end may
     come into view.
     """
-    best = [track.filter.best for track in tracks]
-    state = np.array([e.state[:6] for e in best])
-    P = np.array([e.covariance[:6, :6] for e in best])
+    state = np.array([np.concatenate([t.position, t.velocity]) for t in tracks])
+    P = np.array([t.covariance for t in tracks])
     value = np.array([np.concatenate([m.position, m.velocity]) for m in measurements])
     R = np.array([m.covariance for m in measurements])
     size = np.maximum(

@@ -10,7 +10,10 @@ from ovmot.feature_table import StereoHistory
 from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import Feedback
-from ovmot.objects.measurement import measure_objects
+from ovmot.objects.body import Body
+from ovmot.objects.body_birth import start_body
+from ovmot.objects.frame_views import views_now
+from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.objects.motion_class import SpeedHistory, classified
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
@@ -59,6 +62,7 @@ class MovingObjects:
         self._settings = settings.objects
         self._of_points = settings.segmentation
         self._tracker = ObjectTracker(rig, settings.object_tracks)
+        self._before: PoseWindow | None = None
         self._rng = np.random.default_rng(settings.objects.seed)
         self._speeds: dict[int, SpeedHistory] = {}
 
@@ -83,8 +87,9 @@ class MovingObjects:
         tracker = self._tracker
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         points = tracker.with_track_ids(segmentation.points)
+        recent = history.younger(_STEADY_S)
         measurements = measure_objects(
-            history.younger(_STEADY_S),
+            recent,
             points,
             window,
             rig,
@@ -92,9 +97,15 @@ class MovingObjects:
             self._of_points,
             self._rng,
         )
-        tracks, points = tracker.step(
-            now_ns, measurements, points, T_world_cam0, history.noise.sigma_px
-        )
+        frame = views_now(points, now_ns, window, self._before, rig, history.noise)
+        self._before = window
+
+        def new_body(measurement: ObjectMeasurement) -> Body:
+            return start_body(
+                measurement.feature_id, measurement.velocity, recent, frame, window, rig
+            )
+
+        tracks, points = tracker.step(frame, measurements, points, new_body)
         self._speeds, tracks = classified(self._speeds, tracks, now_ns)
         held = held_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.predicted_velocities(points)

@@ -4,13 +4,12 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.motion_models import YAW_RATE
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_box import image_box, is_in_view
 from ovmot.types import ObjectTrack, ScenePoints
 
 _MISSED_S = 0.15  # missed for no longer than this, a confirmed track is still called confirmed
-_KNOWN_SIGMA_M = 0.5  # and for longer while its place in view is known to this
+_KNOWN_S, _KNOWN_SIGMA_M = 0.5, 0.5  # and for longer while its place in view is known to this
 
 
 def to_object_track(
@@ -25,8 +24,7 @@ def to_object_track(
 
     World axes, SI; the image box in left pixels.
     """
-    best = track.filter.best
-    sigma = np.sqrt(np.maximum(np.diag(best.covariance), 0.0))
+    sigma = np.sqrt(np.maximum(np.diag(track.covariance), 0.0))
     own = track_id == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
@@ -34,12 +32,15 @@ def to_object_track(
         position=track.position,
         velocity=track.velocity,
         yaw=track.yaw,
-        yaw_rate=float(best.state[YAW_RATE]),
+        yaw_rate=float(track.body.state.x[7]),
         size=track.size,
         box_px=image_box(track, points.pixels[own, :2], T_world_cam0, rig),
         n_points=int(own.sum()),
         std_position=sigma[:3],
         std_velocity=sigma[3:6],
+        std_size=track.box.std_size,
+        std_yaw=float(np.sqrt(track.heading.variance)),
+        std_yaw_rate=float(np.sqrt(track.body.state.P[7, 7])),
     )
 
 
@@ -54,6 +55,6 @@ def _output_state(
     if track.state != TrackState.COASTING:
         return track.state
     missed_s = 1e-9 * (now_ns - track.updated_ns)
-    known = horizontal_variance(track) < _KNOWN_SIGMA_M**2
+    known = missed_s <= _KNOWN_S and horizontal_variance(track) < _KNOWN_SIGMA_M**2
     occluded = known and is_in_view(track, T_world_cam0, rig)
     return TrackState.CONFIRMED if missed_s <= _MISSED_S or occluded else track.state

@@ -10,7 +10,6 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.feature_motions import CLEARLY, FeatureMotions, distances_from_rest_and_body
-from ovmot.objects.motion_models import VELOCITY
 from ovmot.objects.track import Track, TrackState
 from ovmot.objects.track_box import points_in_boxes
 from ovmot.physics import WALKER_MPS, WALKER_SIGMA_MPS
@@ -82,7 +81,7 @@ def _speed_now(track: Track, now_ns: int, before: Speeds) -> float:
 
 def _track_label(track: Track, speed: float) -> PointLabel:
     """The label of a track at its speed of now."""
-    P = track.filter.best.covariance[VELOCITY, VELOCITY]
+    P = track.velocity_cov
     along = track.velocity / max(float(np.linalg.norm(track.velocity)), 1e-9)
     margin = _LIKELIER * float(np.sqrt(along @ P @ along))
     if speed + margin < _PACE_MPS:
@@ -95,7 +94,7 @@ def _checked_for_rest(
 ) -> IntArray:
     """Labels (N,), corrected for a moving track's `own` points (N,), and for points of no track in
     its box, `in_box` (N,), by their own motions."""
-    P = track.filter.best.covariance[VELOCITY, VELOCITY]
+    P = track.velocity_cov
     from_rest, from_body, _ = distances_from_rest_and_body(motions, own | in_box, track.velocity, P)
     static = label == int(PointLabel.STATIC)
     unclear = np.where(own, from_rest < from_body, in_box & static & (from_rest > from_body))

@@ -1,4 +1,4 @@
-"""One track of a body: its filter, its features, and how it is started, predicted and updated."""
+"""One track of a body: the body, its box, and how it is started, predicted and updated."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -6,19 +6,11 @@ from enum import StrEnum
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.id_sets import union
-from ovmot.objects.filter_kernel import N_STATE
+from ovmot.objects.body import Body, advance, with_filled_state, with_members
+from ovmot.objects.body_box import Box, Heading, box_of, new_heading, updated_heading
+from ovmot.objects.frame_views import FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.motion_models import ROAD_USER_AGILITY, VELOCITY
-from ovmot.objects.object_filter import (
-    BodyFilter,
-    Observation,
-    observe,
-    predict,
-    start_filter,
-    update,
-)
-from ovmot.physics import MAX_VEHICLE_SIZE_M, ROAD_SPEED_SIGMA_MPS, gate
+from ovmot.physics import gate
 from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
@@ -26,12 +18,11 @@ CENTRE_SHARE = 0.25
 _LEAST_CENTRE_SIGMA_M = 0.2
 DRIVES_MPS = 3.0
 """Faster than who walks."""
-_MOVING_MPS = 0.5  # slower, the velocity has no direction
 _MANY_FEATURES = 5  # with one velocity are not by chance: two measurements are enough
 ACROSS_SHARE = 0.5
 """Of the velocity along the ray, that one across it must be at least."""
-_GROWTH = 0.5  # gain towards a greater size
-_SHRINK = 0.97  # of the size, where a measurement shows less
+_STEADY_S = 1.0  # over which a box takes on what was newly seen
+LEAST_SEEN = 2  # features by which a body is seen
 
 
 class TrackState(StrEnum):
@@ -46,19 +37,18 @@ class TrackState(StrEnum):
 class Track:
     """A body that was seen to move; world axes, SI.
 
-    `offset` (3,): from the filter's position to the centre of the points seen last. `feature_id`
-    (n,): its features, rising. `hits` counts measurements, `evidence` the seconds that they span;
-    `measured_ns`: time of the last measurement, `updated_ns`: of the last update of any kind.
-    `overlaps`: frames in a row in which it was a duplicate of an older track.
+    `least_size` (3,): the size that it had before it was lost and found again. `hits` counts
+    measurements, `evidence` the seconds that they span; `measured_ns`: time of the last
+    measurement, `updated_ns`: of the last update of any kind. `overlaps`: frames in a row in which
+    it was a duplicate of an older track.
     """
 
     track_id: int
     state: TrackState
-    filter: BodyFilter
-    offset: FloatArray
-    size: FloatArray
-    yaw: float
-    feature_id: IntArray
+    body: Body
+    heading: Heading
+    box: Box
+    least_size: FloatArray
     born_ns: int
     measured_ns: int
     updated_ns: int
@@ -68,67 +58,73 @@ class Track:
 
     @property
     def position(self) -> FloatArray:
-        """Predicted centre (3,) of the points that were seen last, in world."""
-        position: FloatArray = self.filter.best.state[:3] + self.offset
-        return position
+        """Centre (3,) of the box, in world."""
+        return self.box.centre
 
     @property
     def velocity(self) -> FloatArray:
-        """Velocity (3,) in world, m/s."""
-        velocity: FloatArray = self.filter.best.state[VELOCITY]
-        return velocity
+        """Velocity (3,) of the box's centre in world, m/s."""
+        x, r = self.body.state.x, self._lever
+        return np.array([x[4] - x[7] * r[1], x[5] + x[7] * r[0], x[6]])
+
+    @property
+    def _lever(self) -> FloatArray:
+        """From the body's place to the centre of its box (3,)."""
+        return self.box.centre - self.body.state.x[:3]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (6, 6) of position and velocity, without that of the box."""
+        r = self._lever
+        J = np.zeros((6, 8))
+        J[:3, :3] = J[3:, 4:7] = np.eye(3)
+        J[0, 3], J[1, 3] = -r[1], r[0]
+        J[3, 7], J[4, 7] = -r[1], r[0]
+        P: FloatArray = J @ self.body.state.P[:8, :8] @ J.T
+        return P
+
+    @property
+    def velocity_cov(self) -> FloatArray:
+        """Covariance (3, 3) of the velocity."""
+        return self.covariance[3:, 3:]
+
+    @property
+    def size(self) -> FloatArray:
+        """Length, width, height (3,) of the box."""
+        return self.box.size
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the box."""
+        return self.box.yaw
+
+    @property
+    def feature_id(self) -> IntArray:
+        """The features that are followed, rising."""
+        return self.body.members
 
 
-def as_observation(
-    measurement: ObjectMeasurement, size: FloatArray, dt_s: float | None
-) -> Observation:
-    """A measurement for the filter.
-
-    The centre of the seen points may lie anywhere on the body. Measurements over a span longer than
-    the time since the last one, `dt_s`, are correlated: their variance grows by their number in the
-    span. Whether a body moves was tested with the prior noise; its velocity enters with the noise
-    scaled by the variance factor.
-    """
-    R = measurement.scaled_covariance.copy()
-    R[:3, :3] += centre_sigma(size) ** 2 * np.eye(3)
-    correlated = 1.0
-    if dt_s is not None:
-        correlated = float(correlated_count(np.array(measurement.span_s), np.array(dt_s)))
-    R *= correlated
-    return observe(
-        measurement.position, measurement.velocity, R, measurement.yaw_rate,
-        correlated * measurement.yaw_rate_variance,
-    )  # fmt: skip
-
-
-def start_track(track_id: int, now_ns: int, measurement: ObjectMeasurement) -> Track:
-    """A track from a measurement that is associated with no other one.
-
-    Its velocity has the prior of road users' velocities, which matters along the ray of far bodies.
-    """
-    size = measurement.size
-    prior = Observation(
-        np.eye(3, N_STATE, VELOCITY.start), np.zeros(3), np.diag(ROAD_SPEED_SIGMA_MPS) ** 2
-    )
-    body = update(start_filter(now_ns, as_observation(measurement, size, None)), prior)
+def start_track(
+    track_id: int, frame: FrameViews, measurement: ObjectMeasurement, body: Body
+) -> Track:
+    """A track of a new body, from a measurement that is associated with no other one."""
+    camera = frame.T_world_cam0[:3, 3]
+    heading = updated_heading(new_heading(), body, measurement.position, camera, 0.1)
+    box = box_of(body, heading, np.zeros(3), camera)
+    now_ns = frame.timestamp_ns
     return Track(
         track_id=track_id,
         state=TrackState.CONFIRMED if is_conclusive(measurement) else TrackState.TENTATIVE,
-        filter=body,
-        offset=np.zeros(3),
-        size=np.minimum(size, MAX_VEHICLE_SIZE_M),
-        yaw=_heading(body.best.state[VELOCITY]),
-        feature_id=np.sort(measurement.feature_id),
+        body=body,
+        heading=heading,
+        box=box,
+        least_size=np.zeros(3),
         born_ns=now_ns,
         measured_ns=now_ns,
         updated_ns=now_ns,
         hits=1,
         evidence=0.0,
     )
-
-
-def _heading(velocity: FloatArray) -> float:
-    return float(np.arctan2(velocity[1], velocity[0]))
 
 
 def is_conclusive(measurement: ObjectMeasurement) -> bool:
@@ -144,9 +140,46 @@ def is_conclusive(measurement: ObjectMeasurement) -> bool:
     return len(measurement.feature_id) >= _MANY_FEATURES and moves and across
 
 
-def predict_track(track: Track, now_ns: int) -> Track:
-    """The track predicted to a time."""
-    return replace(track, filter=predict(track.filter, now_ns, ROAD_USER_AGILITY))
+def advance_track(track: Track, frame: FrameViews) -> Track:
+    """The track predicted to a frame and updated by its features."""
+    body = advance(track.body, frame)
+    dt = 1e-9 * (frame.timestamp_ns - track.body.timestamp_ns)
+    if body.n_used < LEAST_SEEN:
+        return _unseen(track, body)
+    state = TrackState.CONFIRMED if track.state == TrackState.COASTING else track.state
+    heading = updated_heading(track.heading, body, track.position, frame.T_world_cam0[:3, 3], dt)
+    updated = replace(track, body=body, state=state, heading=heading, updated_ns=frame.timestamp_ns)
+    return _with_steady_box(updated, track, frame)
+
+
+def _unseen(track: Track, body: Body) -> Track:
+    """A track whose body was predicted only; its box goes with it."""
+    moved = body.state.x[:3] - track.body.state.x[:3]
+    box = replace(
+        track.box, centre=track.box.centre + moved, hull_centre=track.box.hull_centre + moved
+    )
+    state = track.state if track.state == TrackState.TENTATIVE else TrackState.COASTING
+    return replace(track, body=body, state=state, box=box)
+
+
+def with_box(track: Track, frame: FrameViews) -> Track:
+    """The track with the box of its map."""
+    box = box_of(track.body, track.heading, track.least_size, frame.T_world_cam0[:3, 3])
+    return replace(track, box=box)
+
+
+def _with_steady_box(track: Track, before: Track, frame: FrameViews) -> Track:
+    """The track with a box that changes slowly in the body's frame, as more of it is seen."""
+    new = with_box(track, frame)
+    old, R_old, R_new = before.box, before.body.rotation, track.body.rotation
+    dt = 1e-9 * (frame.timestamp_ns - before.body.timestamp_ns)
+    age_s = 1e-9 * (frame.timestamp_ns - before.born_ns)
+    gain = 1.0 - np.exp(-dt / max(min(age_s, _STEADY_S), dt))
+    offset = R_old.T @ (old.centre - before.body.state.x[:3])
+    target = R_new.T @ (new.box.centre - track.body.state.x[:3])
+    centre = track.body.state.x[:3] + R_new @ (offset + gain * (target - offset))
+    size = old.size + gain * (new.box.size - old.size)
+    return replace(new, box=replace(new.box, centre=centre, size=size))
 
 
 def centre_sigma(size: FloatArray) -> FloatArray:
@@ -160,36 +193,46 @@ def correlated_count(span_s: FloatArray, since_s: FloatArray) -> FloatArray:
     return np.maximum(span_s / np.maximum(since_s, 1e-3), 1.0)
 
 
-def update_track(
-    track: Track, measurement: ObjectMeasurement, now_ns: int, settings: ObjectTrackSettings
+def measured_track(
+    track: Track,
+    measurement: ObjectMeasurement,
+    own: IntArray,
+    frame: FrameViews,
+    settings: ObjectTrackSettings,
 ) -> Track:
-    """The track updated by its measurement."""
-    dt = 1e-9 * (now_ns - track.measured_ns)
-    size = np.maximum(_SHRINK * track.size, track.size + _GROWTH * (measurement.size - track.size))
-    body = update(track.filter, as_observation(measurement, size, dt))
+    """The track with those features of its measurement that are its `own` (k,)."""
+    dt = 1e-9 * (frame.timestamp_ns - track.measured_ns)
     hits = track.hits + 1
     evidence = track.evidence + min(dt, settings.confirm_s)
     confirmed = track.state != TrackState.TENTATIVE
     confirmed |= hits >= settings.confirm_hits and evidence >= settings.confirm_s
     confirmed |= hits > 1 and len(measurement.feature_id) >= _MANY_FEATURES
-    velocity = body.best.state[VELOCITY]
-    fast = np.hypot(velocity[0], velocity[1]) > _MOVING_MPS
     return replace(
         track,
         state=TrackState.CONFIRMED if confirmed else TrackState.TENTATIVE,
-        filter=body,
-        offset=measurement.position - body.best.state[:3],
-        size=np.minimum(size, MAX_VEHICLE_SIZE_M),
-        yaw=_heading(velocity) if fast else track.yaw,
-        feature_id=union(track.feature_id, measurement.feature_id),
-        measured_ns=now_ns,
-        updated_ns=now_ns,
+        body=with_members(track.body, frame, own),
+        measured_ns=frame.timestamp_ns,
+        updated_ns=frame.timestamp_ns,
         hits=hits,
         evidence=evidence,
     )
 
 
+def found_again(track: Track, body: Body, frame: FrameViews) -> Track:
+    """A track that was lost, with a new body in its place; its size stays."""
+    camera = frame.T_world_cam0[:3, 3]
+    heading = replace(new_heading(), shown=track.heading.shown, drives=track.heading.drives)
+    heading = updated_heading(heading, body, body.state.x[:3], camera, 0.1)
+    found = replace(track, body=body, heading=heading, least_size=track.box.size)
+    return with_box(found, frame)
+
+
+def filled_track(track: Track, frame: FrameViews) -> Track:
+    """The track with as many features in its state as have room."""
+    return replace(track, body=with_filled_state(track.body, frame))
+
+
 def horizontal_variance(track: Track) -> float:
     """Variance of its position in one horizontal direction, m²."""
-    P = track.filter.best.covariance
+    P = track.body.state.P
     return 0.5 * float(P[0, 0] + P[1, 1])

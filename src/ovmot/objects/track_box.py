@@ -23,8 +23,8 @@ def points_in_boxes(
     return points_near_boxes_compiled(
         p_world,
         position_cov,
-        np.array([t.position for t in tracks]),
-        np.array([t.size for t in tracks]),
+        np.array([t.box.hull_centre for t in tracks]),
+        np.array([t.box.hull_size for t in tracks]),
         np.array([t.yaw for t in tracks]),
         np.array([2.0 * horizontal_variance(t) for t in tracks]),
         _MARGIN_M,
@@ -57,10 +57,3 @@ def image_box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: Stere
     edge = np.array([rig.cam0.width, rig.cam0.height]) - 0.5
     uv = np.clip(uv, -0.5, edge)  # and NaN where a corner is behind the camera
     return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
-
-
-def centre_distances(track: Track, other: Track) -> tuple[float, float]:
-    """Distances of the centres, along and across the other's heading, metres."""
-    offset = track.position - other.position
-    c, s = np.cos(other.yaw), np.sin(other.yaw)
-    return abs(c * offset[0] + s * offset[1]), abs(-s * offset[0] + c * offset[1])

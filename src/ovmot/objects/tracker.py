@@ -1,32 +1,41 @@
 """Tracks of moving bodies over time: predict, associate, update, start, drop, merge."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.id_sets import contained, union, without
+from ovmot.geometry.id_sets import contained, union
 from ovmot.kernels.table_kernel import columns_of_compiled
 from ovmot.objects.association import associate
-from ovmot.objects.feature_motions import FeatureHistory, FeatureMotions, moving_with
+from ovmot.objects.body import Body, with_members, without_members
+from ovmot.objects.body_box import distance_to_hull, may_belong
+from ovmot.objects.feature_motions import (
+    CLEARLY,
+    FeatureHistory,
+    FeatureMotions,
+    distances_from_rest_and_body,
+    moving_with,
+)
+from ovmot.objects.frame_views import FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.objects.merging import merge_duplicates
-from ovmot.objects.monocular_points import with_track_depths
-from ovmot.objects.motion_models import VELOCITY
+from ovmot.objects.merging import BESIDE_NS, merge_duplicates
 from ovmot.objects.output import to_object_track
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.track import (
+    LEAST_SEEN,
     Track,
     TrackState,
+    advance_track,
+    filled_track,
+    found_again,
     horizontal_variance,
-    predict_track,
+    measured_track,
     start_track,
-    update_track,
 )
 from ovmot.objects.track_box import is_in_view, points_in_boxes
-from ovmot.objects.unmeasured import recovery_candidates, update_unmeasured
 from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack, ScenePoints
 
@@ -48,76 +57,49 @@ class ObjectTracker:
 
     def step(
         self,
-        timestamp_ns: int,
+        frame: FrameViews,
         measurements: Sequence[ObjectMeasurement],
         points: ScenePoints,
-        T_world_cam0: FloatArray,
-        pixel_sigma: float,
+        new_body: Callable[[ObjectMeasurement], Body],
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
         """The tracks of this frame, and its points with their tracks' ids and labels.
 
-        `pixel_sigma`: standard deviation of a pixel coordinate of the points.
+        `new_body` starts a body by its measurement.
         """
-        settings, rig = self._settings, self._rig
-        # 1 predict the tracks, and measure each feature's motion
-        tracks = [predict_track(track, timestamp_ns) for track in self._tracks]
-        motions = self._feature_motions(timestamp_ns, points, tracks, T_world_cam0, pixel_sigma)
-        # 2 associate measurements with tracks
+        settings, rig, now_ns = self._settings, self._rig, frame.timestamp_ns
+        T_world_cam0 = frame.T_world_cam0
+        # 1 predict the tracks and update them by their features
+        tracks = [advance_track(track, frame) for track in self._tracks]
+        motions = self._history.add(now_ns, points, T_world_cam0)
+        # 2 associate measurements with tracks: those bring features, and find lost tracks again
         out_of_view = np.array([_has_left(t, T_world_cam0, rig) for t in tracks], dtype=np.bool_)
-        matches = associate(tracks, measurements, out_of_view, timestamp_ns)
-        # 3 update tracks by their measurements, the others by their features
-        tracks = self._updated(tracks, measurements, matches, motions, timestamp_ns)
+        matches = associate(tracks, measurements, out_of_view, now_ns)
+        for i, j in matches.items():
+            if tracks[i].state == TrackState.COASTING or tracks[i].body.n_used < LEAST_SEEN:
+                body = new_body(measurements[j])
+                if body.has_outline:
+                    tracks[i] = found_again(tracks[i], body, frame)
+            own = _own_features(tracks, i, measurements[j], frame)
+            tracks[i] = measured_track(tracks[i], measurements[j], own, frame, settings)
+        # 3 find others again by features in their boxes
+        tracks = _recovered(tracks, motions, frame)
         # 4 start tracks by the other measurements
         for j in sorted(set(range(len(measurements))) - set(matches.values())):
-            tracks.append(start_track(self._next_id, timestamp_ns, measurements[j]))
-            self._next_id += 1
+            body = new_body(measurements[j])
+            if body.has_outline:
+                tracks.append(start_track(self._next_id, frame, measurements[j], body))
+                self._next_id += 1
         # 5 drop lost tracks, update the sets of features, merge duplicates
-        alive = [track for track in tracks if _is_alive(track, timestamp_ns, settings)]
-        self._tracks = merge_duplicates(_with_current_features(alive, motions), settings)
+        alive = [_missed(t, frame) for t in tracks if _is_alive(t, now_ns, settings)]
+        alive = _with_joining_features(alive, motions, frame)
+        self._tracks = tuple(filled_track(t, frame) for t in merge_duplicates(alive))
         # 6 convert for the output, label the points
         track_id = _track_ids(self._tracks, points.feature_id)
         output = tuple(
-            to_object_track(t, timestamp_ns, points, track_id, T_world_cam0, rig)
-            for t in self._tracks
+            to_object_track(t, now_ns, points, track_id, T_world_cam0, rig) for t in self._tracks
         )
-        before, self._speeds = self._speeds, speeds_of(timestamp_ns, self._tracks)
-        return output, label_points(timestamp_ns, points, track_id, self._tracks, motions, before)
-
-    def _feature_motions(
-        self,
-        now_ns: int,
-        points: ScenePoints,
-        tracks: Sequence[Track],
-        T_world_cam0: FloatArray,
-        pixel_sigma: float,
-    ) -> FeatureMotions:
-        """Motions of the features of this frame; those of tracks need the left camera only."""
-        since_s, self._last_ns = 1e-9 * (now_ns - self._last_ns), now_ns
-        before = self._history.last
-        placed = with_track_depths(
-            points, tracks, before, since_s, T_world_cam0, self._rig, pixel_sigma
-        )
-        return self._history.add(now_ns, placed, T_world_cam0)
-
-    def _updated(
-        self,
-        tracks: Sequence[Track],
-        measurements: Sequence[ObjectMeasurement],
-        matches: Mapping[int, int],
-        motions: FeatureMotions,
-        now_ns: int,
-    ) -> list[Track]:
-        """The tracks, each updated by its measurement, or else by its features."""
-        by_features = tracks if len(matches) < len(tracks) else []
-        in_box = points_in_boxes(by_features, motions.p_world, motions.position_cov)
-        held = _track_ids(by_features, motions.feature_id)
-        candidate = recovery_candidates(by_features, in_box, held)
-        return [
-            update_track(track, measurements[matches[i]], now_ns, self._settings)
-            if i in matches
-            else update_unmeasured(track, motions, in_box[i], candidate[i], now_ns)
-            for i, track in enumerate(tracks)
-        ]
+        before, self._speeds = self._speeds, speeds_of(now_ns, self._tracks)
+        return output, label_points(now_ns, points, track_id, self._tracks, motions, before)
 
     def with_track_ids(self, points: ScenePoints) -> ScenePoints:
         """The points of a new frame with the tracks that held their features until now.
@@ -154,41 +136,89 @@ def _is_alive(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
     return unseen_s <= settings.coast_s
 
 
-def _with_current_features(tracks: Sequence[Track], motions: FeatureMotions) -> list[Track]:
+def _own_features(
+    tracks: Sequence[Track], i: int, measurement: ObjectMeasurement, frame: FrameViews
+) -> IntArray:
+    """The features (k,) of track i's measurement that may be of its body, and are no nearer to
+    another one."""
+    ids = measurement.feature_id
+    at = columns_of_compiled(ids, frame.feature_id)
+    p, C = frame.p_world[at], frame.cov_world[at]
+    own = may_belong(tracks[i].box, p, np.sqrt(np.einsum("nii->n", C)))
+    distance = distance_to_hull(tracks[i].box, p)
+    for k, other in enumerate(tracks):
+        if k != i and other.state == TrackState.CONFIRMED:
+            own &= distance <= distance_to_hull(other.box, p)
+    return ids[own]
+
+
+def _missed(track: Track, frame: FrameViews) -> Track:
+    """A tentative track must be measured in consecutive frames: its count begins again."""
+    if track.state == TrackState.TENTATIVE and track.measured_ns < frame.timestamp_ns:
+        return replace(track, hits=0, evidence=0.0)
+    return track
+
+
+def _recovered(tracks: Sequence[Track], motions: FeatureMotions, frame: FrameViews) -> list[Track]:
+    """The tracks, those that were lost with the features in their boxes that move as they do."""
+    lost = [t for t in tracks if t.state == TrackState.COASTING]
+    if not lost:
+        return list(tracks)
+    in_box = points_in_boxes(tracks, motions.p_world, motions.position_cov)
+    candidate = recovery_candidates(tracks, in_box, _track_ids(tracks, motions.feature_id))
+    return [
+        _joined_by(track, motions, own, frame) if track.state == TrackState.COASTING else track
+        for track, own in zip(tracks, candidate, strict=True)
+    ]
+
+
+def _joined_by(
+    track: Track, motions: FeatureMotions, candidate: BoolArray, frame: FrameViews
+) -> Track:
+    """A lost track, found again if enough of the `candidate` features (N,) move as it does."""
+    own = moving_with(motions, candidate, track.velocity, track.velocity_cov)
+    if own.sum() < LEAST_SEEN:
+        return track
+    body = with_members(track.body, frame, motions.feature_id[own])
+    return replace(track, body=body, state=TrackState.CONFIRMED, updated_ns=frame.timestamp_ns)
+
+
+def _with_joining_features(
+    tracks: Sequence[Track], motions: FeatureMotions, frame: FrameViews
+) -> list[Track]:
     """The tracks with the features that they hold now.
 
-    Features in a track's box with its velocity join, those far off it leave, as do those that are
-    not seen any more. Of two tracks the older one keeps a common feature.
+    Free features in a track's box that move as it does and do not rest join it; those that clearly
+    rest leave it. Of two tracks the older one keeps a common feature.
     """
     held = _track_ids(tracks, motions.feature_id)
     in_boxes = points_in_boxes(tracks, motions.p_world, motions.position_cov)
-    joined = [_with_joining(t, motions, held, at) for t, at in zip(tracks, in_boxes, strict=True)]
-    out, taken, in_view = [], np.empty(0, dtype=np.int64), np.sort(motions.feature_id)
-    for track in joined:
-        ids = track.feature_id
-        if track.state != TrackState.COASTING:
-            ids = ids[contained(ids, in_view) & ~contained(ids, taken)]
-        taken = union(taken, ids)
-        out.append(track if len(ids) == len(track.feature_id) else replace(track, feature_id=ids))
+    out, taken = [], np.empty(0, dtype=np.int64)
+    for track, in_box in zip(tracks, in_boxes, strict=True):
+        body = _without_static(track, motions)
+        if track.state == TrackState.CONFIRMED:
+            free = in_box & (held < 0)
+            free[free] = ~contained(motions.feature_id[free], taken)
+            joins = moving_with(motions, free, track.velocity, track.velocity_cov)
+            body = with_members(body, frame, motions.feature_id[joins], outline=False)
+        if len(taken):
+            body = without_members(body, taken)
+        taken = union(taken, body.members)
+        out.append(replace(track, body=body))
     return out
 
 
-def _with_joining(
-    track: Track, motions: FeatureMotions, track_id: IntArray, in_box: BoolArray
-) -> Track:
-    """The track with the free features in its box that have its velocity, without those outside.
-
-    `track_id` (N,): the track that holds each feature; `in_box` (N,): which are in its box.
-    """
+def _without_static(track: Track, motions: FeatureMotions) -> Body:
+    """A track's body without features that clearly rest while it moves: what lies behind it."""
     if track.state == TrackState.COASTING:
-        return track
-    ids = track.feature_id
-    if track.state == TrackState.CONFIRMED:
-        free = in_box & ((track_id < 0) | (track_id == track.track_id))
-        P = track.filter.best.covariance[VELOCITY, VELOCITY]
-        ids = union(ids, motions.feature_id[moving_with(motions, free, track.velocity, P)])
-    outside = ~in_box & np.isfinite(motions.p_world[:, 0])
-    return replace(track, feature_id=without(ids, motions.feature_id[outside]))
+        return track.body
+    own = contained(motions.feature_id, track.feature_id)
+    from_rest, from_body, _ = distances_from_rest_and_body(
+        motions, own, track.velocity, track.velocity_cov
+    )
+    static = np.zeros(len(own), dtype=np.bool_)
+    static[own] = from_rest[own] + CLEARLY < from_body[own]
+    return without_members(track.body, motions.feature_id[static])
 
 
 def _track_ids(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
@@ -200,3 +230,23 @@ def _track_ids(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
     owner = np.repeat([t.track_id for t in holding], [len(t.feature_id) for t in holding])
     at = columns_of_compiled(feature_id, held)  # the first of equal ids, so that of the last track
     return np.where(at >= 0, np.append(owner, -1)[at], -1)
+
+
+def recovery_candidates(
+    tracks: Sequence[Track], in_box: BoolArray, track_id: IntArray
+) -> BoolArray:
+    """Features (T, N) by which each track may be found again.
+
+    Those in its box, `in_box` (T, N), that no other track holds by `track_id` (N,), and that are
+    not in the box of a body that was seen beside it.
+    """
+    in_view = np.array([t.state == TrackState.CONFIRMED for t in tracks], dtype=np.bool_)
+    born = np.array([t.born_ns for t in tracks], dtype=np.int64)
+    updated = np.array([t.updated_ns for t in tracks], dtype=np.int64)
+    beside = in_view & (born + BESIDE_NS < updated[:, None])
+    np.fill_diagonal(beside, False)
+    own_id = np.array([t.track_id for t in tracks], dtype=np.int64)
+    candidate: BoolArray = (
+        in_box & ~(beside @ in_box) & ((track_id < 0) | (track_id == own_id[:, None]))
+    )
+    return candidate

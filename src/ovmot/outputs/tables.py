@@ -179,11 +179,11 @@ class TracksTable:
     columns = (
         "timestamp_ns,track_id,state,x,y,z,vx,vy,vz,yaw,yaw_rate,length,width,height,"
         "u_min,v_min,u_max,v_max,n_points,std_x,std_y,std_z,std_vx,std_vy,std_vz,"
-        "p_walker,p_cyclist,p_vehicle"
+        "p_walker,p_cyclist,p_vehicle,std_length,std_width,std_height,std_yaw,std_yaw_rate"
     )
     _row = (
         "%d,%d,%s" + ",%.4f" * 6 + ",%.6f" * 2 + ",%.4f" * 3 + ",%.2f" * 4 + ",%d" + ",%.4f" * 6
-        + ",%.4f" * 3
+        + ",%.4f" * 6 + ",%.6f" * 2
     )  # fmt: skip
 
     def __init__(self, path: Path) -> None:
@@ -195,6 +195,7 @@ class TracksTable:
                 result.timestamp_ns, track.track_id, track.state, *track.position, *track.velocity,
                 track.yaw, track.yaw_rate, *track.size, *track.box_px, track.n_points,
                 *track.std_position, *track.std_velocity, *track.class_probability,
+                *track.std_size, track.std_yaw, track.std_yaw_rate,
             )
             for track in result.tracks
         ]  # fmt: skip

@@ -1,0 +1,62 @@
+"""A new body: the filter run over the frames that its measurement was made from."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ovmot.cameras.rig import StereoRig
+from ovmot.feature_table import StereoHistory
+from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.body import (
+    Body,
+    advance,
+    empty_body,
+    with_filled_state,
+    with_members,
+    with_velocity_prior,
+)
+from ovmot.objects.frame_views import FrameViews, ego_step, views_then
+from ovmot.types import PoseWindow
+
+_LEAST = 3  # features in a frame: a body's motion
+
+
+def start_body(
+    feature_id: IntArray,
+    velocity: FloatArray,
+    history: StereoHistory,
+    frame: FrameViews,
+    window: PoseWindow,
+    rig: StereoRig,
+) -> Body:
+    """A body of features (K,) of the newest frame, which move at about `velocity` (3,), world.
+
+    From the first of the earlier frames that shows enough of them, with a vague velocity; the
+    prior of road users' velocities comes last. So every view counts once.
+    """
+    own = np.flatnonzero(np.isin(history.feature_id, feature_id))
+    shown = np.isfinite(history.p_then[:, own, 2]).sum(1)
+    rows = np.flatnonzero(shown >= _LEAST).tolist()
+    earlier = views_then(history, rows, feature_id, frame.timestamp_ns, window, rig)
+    frames = [*earlier, _after(frame, history, rows, window)]
+    first = frames[0]
+    seen = np.isin(first.feature_id, feature_id) & np.isfinite(first.p_world[:, 0])
+    centre = np.median(first.p_world[seen], axis=0)
+    body = empty_body(first.timestamp_ns, centre, velocity)
+    for k, then in enumerate(frames):
+        if k > 0:
+            body = advance(body, then)
+        body = with_filled_state(with_members(body, then, feature_id), then)
+    return with_velocity_prior(body)
+
+
+def _after(
+    frame: FrameViews, history: StereoHistory, rows: list[int], window: PoseWindow
+) -> FrameViews:
+    """The newest frame as the one after the last of the rows, in the world as it is now."""
+    frame = replace(frame, correction=np.eye(4))
+    if not rows:
+        return frame
+    clone = int(np.searchsorted(window.timestamp_ns, history.clone_ns[rows[-1]]))
+    step = ego_step(window, clone, len(window.timestamp_ns) - 1, frame.T_world_cam0)
+    return replace(frame, step=step, n_frames=int(history.n_frames[rows[-1]]))
