@@ -162,6 +162,12 @@ def run(
         out, _ego_poses(ego), save_points, video, force, first, last, masks, more,
         given.mask_files, threads,
     )  # fmt: skip
+    said = set(recorded.warnings)
+
+    def say_once(line: str) -> None:
+        said.add(line)
+        say(f"ovmot: {line}")
+
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with interruptible(NOTHING_WRITTEN):
         compile_where(first_use)
@@ -169,11 +175,9 @@ def run(
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0)) as advance,
     ):
-        summary = ovmot.run_sequence(
-            recorded, settings, options, advance, lambda why: say(f"ovmot: {why}")
-        )
+        summary = ovmot.run_sequence(recorded, settings, options, advance, say_once)
     for warning, count in summary.warnings.items():
-        if warning not in recorded.warnings:
+        if warning not in said:
             say(f"ovmot: warning: {warning} ({count})")
     written = summary.counts["frames_written"]
     rate = written / max(summary.wall_seconds, 1e-9)
