@@ -57,7 +57,8 @@ def textured(x: float, seed: int) -> Image:
     u += x
     waves = np.sin(0.31 * u + 0.05 * v) + np.sin(0.13 * u - 0.11 * v) + np.sin(0.71 * u + 1.0)
     noise = np.random.default_rng(seed).integers(0, 5, SHAPE)
-    return (100.0 + 25.0 * waves + noise).astype(np.uint8)
+    grey: Image = (100.0 + 25.0 * waves + noise).astype(np.uint8)
+    return grey
 
 
 def test_each_of_several_torn_pictures_is_told() -> None:
