@@ -25,6 +25,7 @@ from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.presets import Preset
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.usable_events import usable_events
+from ovmot.doctor.during_run import RunCheck
 from ovmot.errors import InputError, OvmotError, is_interrupt
 from ovmot.odometry import NO_OBJECTS, STAGES, Odometry, noise_in_use, settings_in_use
 from ovmot.outputs.rig_masks import write_rig_masks
@@ -108,7 +109,7 @@ class RunInput:
     `name` stands before messages. `ego` and `start` say for `run.json` where the poses come from
     and how they begin; `imu_noise` is for `run.json` too, None without an IMU. `frame_number` is
     that of each stamp (ns). `counts` and `warnings` are those of the reader; the stream may add to
-    `counts`. `preset` is that of the data.
+    `counts`, the run to both. `preset` is that of the data, `check` what looks at it while it runs.
     """
 
     name: str
@@ -122,6 +123,7 @@ class RunInput:
     ego: Literal["filter", "poses"] = "filter"
     start: Literal["found", "truth"] = "found"
     preset: Preset | None = None
+    check: RunCheck | None = None
 
 
 def run_sequence(
@@ -134,7 +136,8 @@ def run_sequence(
     """Run, write everything into `options.out`, and say how it went.
 
     `on_frame` is called with the number of frames read, `on_wait` once a second of the data while
-    there is no initial state, with the reason. Ctrl-C takes effect between two events. It and an
+    there is no initial state, with the reason, and with what is found to be wrong with the data in
+    its first seconds. Ctrl-C takes effect between two events. It and an
     error in the middle leave whole rows and a `run.json` that says so, and are raised again. Raises
     `InputError` for options that do not fit the sequence or the folder, `OvmotError` where the run
     fails.
@@ -171,6 +174,7 @@ def run_sequence(
         warnings=Counter([*sequence.warnings, *no_objects]),
         ego="filter" if poses is None else "poses",
         preset=sequence.preset,
+        check=RunCheck(sequence, settings) if poses is None else None,
     )
     return run_into_folder(source, settings, options, on_frame, on_wait)
 
@@ -254,7 +258,8 @@ def _run_interruptibly(
                 write_chain(out / CHAIN_FILE, odometry.rig)
             counted = _counted(source.stream, counts, on_frame)
             usable = usable_events(counted, counts, settings.health.lost_after_gap_s)
-            updated = _updating(_saying(usable, odometry, on_wait), out, described)
+            said = _saying(_checked(usable, source, on_wait), odometry, on_wait)
+            updated = _updating(said, out, described)
             _write_all(_interruptible(updated, interrupts), odometry, writer, counts)
             if writer.frames_written == 0:
                 why = odometry.not_started_because or "no frame was seen"
@@ -396,6 +401,27 @@ def _saying(
             said_ns = event.timestamp_ns
             why = odometry.not_started_because or "no frame is covered by the IMU"
             on_wait(f"no start at frame {event.timestamp_ns} ns: {why}")
+
+
+def _checked(
+    stream: Iterable[Event], source: RunInput, on_wait: Callable[[str], None]
+) -> Iterator[Event]:
+    """The events; what the doctor finds on the way is said, and noted as a warning."""
+    check, odometry = source.check, source.odometry
+
+    def say(line: str) -> None:
+        source.warnings[line] += 1
+        on_wait(line)
+
+    for line in () if check is None else check.of_imu():
+        say(line)
+    for event in stream:
+        yield event
+        if check is None or isinstance(event, ImuSample):
+            continue
+        counts = Counter({**source.counts, **dict(odometry.counts)})
+        for line in check.after(event.timestamp_ns, odometry.started, counts):
+            say(line)
 
 
 def _interruptible(stream: Iterable[Event], interrupts: HeldInterrupts) -> Iterator[Event]:

@@ -51,6 +51,29 @@ def test_rows_of_the_last_picture_make_a_torn_one(last: LastPictures) -> None:
     assert pictures == (Picture.FINE, Picture.TORN)
 
 
+def textured(x: float, seed: int) -> Image:
+    """A smooth texture shifted by x, with noise of its own."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    u += x
+    waves = np.sin(0.31 * u + 0.05 * v) + np.sin(0.13 * u - 0.11 * v) + np.sin(0.71 * u + 1.0)
+    noise = np.random.default_rng(seed).integers(0, 5, SHAPE)
+    grey: Image = (100.0 + 25.0 * waves + noise).astype(np.uint8)
+    return grey
+
+
+def test_each_of_several_torn_pictures_is_told() -> None:
+    """Each has the upper half of the one before, so that no row comes twice after the first."""
+    whole = [textured(9.0 * k, k) for k in range(7)]
+    halves = [np.concatenate([whole[k - 1][:32], whole[k][32:]]) for k in range(1, 7)]
+    came = [whole[0], whole[1], *halves[1:4], whole[5], whole[6]]
+    kept, said = LastPictures(), []
+    for k, left in enumerate(came):
+        (picture, _), kept = judge_pictures(frame(left, noisy(10 + k)), kept, moving=True)
+        said.append(picture)
+    torn = Picture.TORN
+    assert said == [Picture.FINE, Picture.FINE, torn, torn, torn, Picture.FINE, Picture.FINE]
+
+
 def test_what_is_equal_in_every_picture_tears_none() -> None:
     """A dashboard of a rendered scene: its rows never change."""
     kept = LastPictures()

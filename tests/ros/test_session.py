@@ -50,8 +50,10 @@ class Odometry:
         self.result = result
         self.counts: Counter[str] = Counter(resets=0)
         self.closed = False
+        self.taken: list[Event] = []
 
     def add(self, event: Event) -> list[FrameResult]:
+        self.taken.append(event)
         if isinstance(event, ImuSample):
             return []
         assert isinstance(event, StereoFrame)
@@ -120,8 +122,21 @@ def test_a_frame_becomes_messages_and_the_imu_goes_on_between(setup: Setup) -> N
     setup.session.work_once()
     assert setup.sink.topics()[IMU_ODOMETRY] == 2
     setup.imu(1200)  # the camera is silent: the IMU alone is no odometry
+    setup.imu(1210)
     setup.session.work_once()
-    assert setup.sink.topics()[IMU_ODOMETRY] == 2
+    assert setup.sink.topics()[IMU_ODOMETRY] == 3  # that of 120 ms, which waited for the next one
+
+
+def test_spoilt_imu_samples_are_left_out(setup: Setup) -> None:
+    """As in a run: a sample waits for the next one, which tells a spike from a jolt."""
+    rng = np.random.default_rng(0)
+    for k in range(150):
+        accel = rng.normal(0.0, 0.1, 3) + np.array([0.0, 0.0, 100.0 if k == 120 else 9.8])
+        setup.intake.put_imu(ImuSample(5 * k * MS, rng.normal(0.0, 0.01, 3), accel))
+    setup.session.work_once()
+    assert setup.session.counts["imu_spikes"] == 1
+    taken = [event.timestamp_ns // (5 * MS) for event in setup.pipelines[0].taken]
+    assert taken == [k for k in range(149) if k != 120]
 
 
 def test_the_overlay_is_drawn_for_those_who_look(setup: Setup) -> None:

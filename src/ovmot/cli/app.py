@@ -188,16 +188,20 @@ def run(
             given.mask_files, threads, view, preview=not no_report,
         )  # fmt: skip
         wait_for_kernels()
+    said = set(recorded.warnings)
+
+    def say_once(line: str) -> None:
+        said.add(line)
+        say(f"ovmot: {line}")
+
     stop = len(recorded) if last is None else min(last + 1, len(recorded))
     with (
         interruptible("what was done until here is written whole"),
         progress("run", max(stop - first, 0), style, watch) as advance,
     ):
-        summary = ovmot.run_sequence(
-            recorded, settings, options, advance, lambda why: say(f"ovmot: {why}")
-        )
+        summary = ovmot.run_sequence(recorded, settings, options, advance, say_once)
     for warning, count in summary.warnings.items():
-        if warning not in recorded.warnings:
+        if warning not in said:
             say(f"ovmot: warning: {warning} ({count})")
     written = summary.counts["frames_written"]
     rate = written / max(summary.wall_seconds, 1e-9)

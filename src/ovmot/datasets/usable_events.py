@@ -62,38 +62,62 @@ def _rising(events: Iterable[Event], counts: Counter[str], gap_ns: int) -> Itera
 
 def _plausible(events: Iterable[Event], counts: Counter[str]) -> Iterator[Event]:
     """The events without spoilt IMU samples; each one waits for the sample behind it."""
-    scatter = _Scatter()
-    before: Reading | None = None  # as it came
-    kept: Reading | None = None  # the last usable one
-    held: tuple[ImuSample, Reading] | None = None
+    plausible = PlausibleImu(counts)
     waiting: list[Event] = []  # frames behind the sample that is held
     for event in events:
-        if not isinstance(event, ImuSample):
+        if isinstance(event, ImuSample):
+            usable = plausible.before(event)
+            if usable is not None:
+                yield usable
+            if plausible.held is not event:
+                continue
+        else:
             waiting.append(event)
-            if held is None:
-                yield from waiting
-                waiting.clear()
-            continue
-        after = (*map(float, event.gyro), *map(float, event.accel))
-        if not all(map(math.isfinite, after)):
-            counts["imu_spikes"] += 1
-            continue
-        if held is not None:
-            sample, now = held
-            if _is_saturated(now, before, after):
-                counts["imu_saturated"] += 1
-            elif kept is not None and scatter.is_spike(kept, now, after):
-                counts["imu_spikes"] += 1
-            else:
-                kept = now
-                yield sample
-            before = now
+            if plausible.held is not None:
+                continue
         yield from waiting
         waiting.clear()
-        held = event, after
-    if held is not None:
-        yield held[0]
+    if plausible.held is not None:
+        yield plausible.held
     yield from waiting
+
+
+class PlausibleImu:
+    """Tells spoilt IMU samples, one after the other, by the samples before and behind.
+
+    Those left out go into `counts`; see `usable_events`.
+    """
+
+    def __init__(self, counts: Counter[str]) -> None:
+        self._counts = counts
+        self._scatter = _Scatter()
+        self._before: Reading | None = None  # of the sample before the one held, as it came
+        self._kept: Reading | None = None  # the last usable one
+        self._held: tuple[ImuSample, Reading] | None = None
+
+    @property
+    def held(self) -> ImuSample | None:
+        """The newest sample, of which the next one decides."""
+        return None if self._held is None else self._held[0]
+
+    def before(self, sample: ImuSample) -> ImuSample | None:
+        """The sample held so far, now that the next one is there; None where it is spoilt."""
+        after = (*map(float, sample.gyro), *map(float, sample.accel))
+        if not all(map(math.isfinite, after)):
+            self._counts["imu_spikes"] += 1
+            return None
+        usable = None
+        if self._held is not None:
+            held, now = self._held
+            if _is_saturated(now, self._before, after):
+                self._counts["imu_saturated"] += 1
+            elif self._kept is not None and self._scatter.is_spike(self._kept, now, after):
+                self._counts["imu_spikes"] += 1
+            else:
+                self._kept, usable = now, held
+            self._before = now
+        self._held = sample, after
+        return usable
 
 
 def _is_saturated(now: Reading, before: Reading | None, after: Reading) -> bool:

@@ -71,6 +71,22 @@ def examine(
         findings = _without_pairs(sequence, settings, locations)
         return make_report(sequence.name, sequence.kind, findings)
     stretches = choose_stretches(sequence.frame_ns, sequence.imu)
+    findings = examine_stretches(sequence, stretches, settings, locations, advance)
+    return make_report(sequence.name, sequence.kind, findings)
+
+
+def examine_stretches(
+    sequence: RecordedSequence,
+    stretches: list[tuple[int, int]],
+    settings: Settings,
+    locations: Locations,
+    advance: Callable[[int], None] = lambda done: None,
+) -> list[Finding]:
+    """What these stretches (first and last frame) of a sequence of pairs show, as it is.
+
+    `settings`: with those of its preset; what they correct in a recording is taken as corrected.
+    Raises `DatasetError` where no image can be read.
+    """
     seen = observe(sequence, stretches, settings, advance)
     stereo_findings, rig = check_stereo(seen.matches, sequence.rig, locations)
     findings = [
@@ -87,7 +103,7 @@ def examine(
         findings += _imu_findings(sequence.imu, turns, rig, sequence.counts, settings, locations)
         if not any(_hides_the_scale(finding) for finding in findings):
             findings.append(_scale(sequence.imu, turns, rig, locations))
-    return make_report(sequence.name, sequence.kind, findings)
+    return findings
 
 
 def _no_imu(sequence: RecordedSequence, locations: Locations) -> Finding:

@@ -23,16 +23,23 @@ def fixed_settings(report: Report, given: Settings) -> dict[str, dict[str, Any]]
     fix = {key: value for f in report.findings for key, value in f.fix.items()}
     if not fix:
         return None
-    for key in _SCALES:
-        if key in fix:
-            fix[key] *= getattr(given.recording, key.partition(".")[2])
-    if _EXCHANGE in fix:
-        fix[_EXCHANGE] = not given.recording.exchange_cameras
+    fix = fix_over(fix, given)
     sections: dict[str, dict[str, Any]] = given.model_dump(mode="json", exclude_unset=True)
     for key, value in fix.items():
         section, _, name = key.partition(".")
         sections.setdefault(section, {})[name] = value
     return sections
+
+
+def fix_over(fix: Mapping[str, Any], given: Settings) -> dict[str, Any]:
+    """The settings `fix`, found in a recording that the settings `given` have corrected before."""
+    over = dict(fix)
+    for key in _SCALES:
+        if key in over:
+            over[key] *= getattr(given.recording, key.partition(".")[2])
+    if _EXCHANGE in over:
+        over[_EXCHANGE] = not given.recording.exchange_cameras
+    return over
 
 
 def write_settings(path: Path, sections: Mapping[str, Mapping[str, Any]]) -> None:

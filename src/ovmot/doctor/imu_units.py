@@ -12,6 +12,7 @@ _STANDARD_GRAVITY = 9.80665
 _QUIET_S = 1.0
 _NEAR, _FAR = 0.4, 4.0  # m/s² off gravity: a bias and a climb, and what no motion averages to
 _STEEP_DEG = 45.0
+_UPSIDE_DOWN_DEG = 135.0
 _FLAT_TOP = 3  # samples in a row at exactly the same extreme
 _LARGE = (1.0, 15.0)  # rad/s, m/s²: a small value that repeats is the resolution, not the range
 _SATURATED_SHARE = 0.01
@@ -86,13 +87,10 @@ def check_gravity(imu: ImuData, R_imu_cam0: FloatArray, place: str) -> Finding:
 
     `place` says where `R_imu_cam0` (3, 3) is written.
     """
-    mean = imu.accel.mean(axis=0)
-    size = float(np.linalg.norm(mean))
-    if size < 0.5 * float(np.linalg.norm(imu.accel, axis=1).mean()):
+    found = held(imu, R_imu_cam0)
+    if found is None:
         return Finding("gravity direction", Severity.UNKNOWN, "the IMU turns about too much")
-    up = R_imu_cam0.T @ mean / size
-    pitch = float(np.degrees(np.arcsin(np.clip(up[2], -1.0, 1.0))))
-    roll = float(np.degrees(np.arctan2(up[0], -up[1])))
+    pitch, roll = found
     says = (
         f"by the extrinsics, the left camera looks {abs(pitch):.0f}°"
         f" {'up' if pitch > 0 else 'down'} and is rolled {abs(roll):.0f}°"
@@ -102,7 +100,38 @@ def check_gravity(imu: ImuData, R_imu_cam0: FloatArray, place: str) -> Finding:
     remedy = (
         f"if the camera was held otherwise, correct {place}: a rotation may be written inverted"
     )
+    if _is_upside_down(found):
+        remedy = f"if it was not, the accelerometer is negated (recording.accel_scale), or {place}"
     return Finding("gravity direction", Severity.DOUBTFUL, says, remedy)
+
+
+def held(imu: ImuData, R_imu_cam0: FloatArray) -> tuple[float, float] | None:
+    """How the left camera is held by the mean specific force, deg: up (pitch) and rolled.
+
+    None where the IMU turns about too much.
+    """
+    mean = imu.accel.mean(axis=0)
+    size = float(np.linalg.norm(mean))
+    if size < 0.5 * float(np.linalg.norm(imu.accel, axis=1).mean()):
+        return None
+    up = R_imu_cam0.T @ mean / size
+    pitch = float(np.degrees(np.arcsin(np.clip(up[2], -1.0, 1.0))))
+    return pitch, float(np.degrees(np.arctan2(up[0], -up[1])))
+
+
+def _is_upside_down(held_deg: tuple[float, float]) -> bool:
+    pitch, roll = held_deg
+    return abs(pitch) <= _STEEP_DEG and abs(roll) > _UPSIDE_DOWN_DEG
+
+
+def check_accel_sign(imu: ImuData, R_imu_cam0: FloatArray) -> Finding:
+    """Does gravity point upwards in the picture? By the extrinsics `R_imu_cam0` (3, 3)."""
+    check, found = "accelerometer sign", held(imu, R_imu_cam0)
+    if found is None or not _is_upside_down(found):
+        return Finding(check, Severity.FINE, "gravity points down in the picture")
+    says = f"the left camera hangs upside down (rolled {abs(found[1]):.0f}°) by the accelerometer"
+    remedy = "if it does not, the accelerometer is negated"
+    return Finding(check, Severity.DOUBTFUL, says, remedy, {"recording.accel_scale": -1.0})
 
 
 def check_imu_saturation(imu: ImuData) -> list[Finding]:

@@ -13,6 +13,7 @@ import numpy as np
 from ovmot import Odometry
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.bag.images import stored_image
+from ovmot.datasets.usable_events import PlausibleImu
 from ovmot.errors import DatasetError, OvmotError
 from ovmot.geometry.arrays import Image
 from ovmot.outputs.trails import Trails
@@ -84,13 +85,14 @@ class Session:
         self._say = say
         self._names = frame_names(settings)
         self._odometry = make_odometry()
+        self.counts: Counter[str] = Counter()
+        self._imu = PlausibleImu(self.counts)
         self._first = Numbers()  # of this odometry
         self._free = Numbers()
         self._path = PathSoFar()
         self._trails = Trails()
         self._newest_ns: int | None = None  # frame with a result
         self._said_s = dict[str, float]()
-        self.counts: Counter[str] = Counter()
         self._arrived_s: dict[int, float] = {}  # by stamp, of frames without a result yet
         self._latency_s: deque[float] = deque(maxlen=_LATENCIES)
 
@@ -120,9 +122,11 @@ class Session:
         return float(1e3 * np.percentile(self._latency_s, percent)) if self._latency_s else None
 
     def _do(self, batch: Batch) -> None:
-        for sample in batch.imu:
-            self._publish_all(self._odometry.add(sample))
-            self._publish_between(sample, batch)
+        for received in batch.imu:
+            sample = self._imu.before(received)
+            if sample is not None:
+                self._publish_all(self._odometry.add(sample))
+                self._publish_between(sample, batch)
         if batch.pair is not None:
             frame = decoded(batch.pair, self._settings, self._rig)
             self.counts["frames"] += 1
@@ -153,6 +157,7 @@ class Session:
         self._first = self._free
         self._odometry.close()
         self._odometry = self._make_odometry()
+        self._imu = PlausibleImu(self.counts)
         self._arrived_s.clear()
         self._trails = Trails()
         self._newest_ns = None

@@ -76,6 +76,8 @@ class Worker:
             f"{done['before_start']} before the start, {done['refused']} refused, "
             f"{done['restarts']} restarts"
         )
+        spoilt = done["imu_spikes"] + done["imu_saturated"]
+        text += f", {spoilt} spoilt IMU samples left out" if spoilt else ""
         half, most = self._session.latency_ms(50), self._session.latency_ms(95)
         return text if half is None else f"{text}; latency p50 {half:.0f} ms, p95 {most:.0f} ms"
 
