@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-_NOT_NUMERICAL = ("batch", "cli", "datasets", "outputs", "ros")
+_NOT_NUMERICAL = ("batch", "cli", "datasets", "docs", "outputs", "report", "ros")
 """Folders of tests about files, commands and processes."""
 
 _NEEDS = {"Nehalem": "sse4_2", "Haswell": "avx2", "SkylakeX": "avx512f"}
