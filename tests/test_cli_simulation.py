@@ -98,8 +98,10 @@ def test_a_batch_says_which_run_failed(ovmot_command: Command, tmp_path: Path) -
     plan.write_text(f"sequences: {{none: {{data: {tmp_path / 'nowhere'}}}}}\n")
     told = ovmot_command("batch", plan, "-o", tmp_path / "out", "--workers", "1")
     assert told.code == 1
-    assert told.complaint.startswith("ovmot: none/default/0: ")
-    assert str(tmp_path / "nowhere") in told.complaint
+    *progress, complaint = told.err.splitlines()
+    assert progress == ["ovmot: run: 0 of 1", "ovmot: run: 1 of 1"]
+    assert complaint.startswith("ovmot: none/default/0: ")
+    assert str(tmp_path / "nowhere") in complaint
 
 
 @pytest.mark.parametrize(

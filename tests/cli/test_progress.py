@@ -19,13 +19,14 @@ def test_a_run_in_lines_of_json(
     told = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", "--json-lines", *FAST)
     assert told.code == 0, told.err
     lines = [json.loads(line) for line in told.out.splitlines()]
-    *_, last, finished = lines
+    *_, last, finished, page = lines
     assert last["event"] == "progress"
     assert (last["task"], last["done"], last["total"]) == ("run", 12, 12)
     assert last["frames_per_s"] > 0.0
     assert last["eta_s"] == 0.0
     assert last["health"] == "tracking"
     assert finished["event"] == "finished"
+    assert (page["event"], page["path"]) == ("report", str(tmp_path / "out/report.html"))
     assert finished["out"] == str(tmp_path / "out")
     assert finished["frames"] == len((tmp_path / "out/state.csv").read_text().splitlines()) - 1
 

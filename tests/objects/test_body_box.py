@@ -38,6 +38,20 @@ def test_the_box_is_the_hull_of_what_was_seen() -> None:
     assert box_size(make_body(size=size), least=np.array([6.0, 1.0, 1.0])) == [6.0, 1.7, 1.4]
 
 
+def test_what_lies_far_behind_a_body_is_not_of_it() -> None:
+    size = np.array([5.0, 1.7, 1.4])
+    body = make_body(size=size)
+    f = body.map.f.copy()
+    f[0] = [30.0, 0.0, 0.0]
+    mixed = replace(body, map=replace(body.map, f=f))
+    assert box_of(mixed, SEEN, NOTHING, CAMERA).size[0] == pytest.approx(5.0, abs=0.1)
+    # a point so uncertain that it may lie on the body stays
+    cov = body.map.cov.copy()
+    cov[0] = 100.0 * np.eye(3)
+    vague = replace(body, map=replace(body.map, f=f, cov=cov))
+    assert box_of(vague, SEEN, NOTHING, CAMERA).size[0] > 5.1
+
+
 def test_of_a_car_seen_from_behind_the_length_is_the_usual_one() -> None:
     body = make_body((10.0, 0.0, 1.0), size=np.array([0.5, 1.7, 1.4]))
     box = box_of(body, FROM_BEHIND, NOTHING, CAMERA)

@@ -96,6 +96,9 @@ def box_of(body: Body, heading: Heading, least: FloatArray, camera: FloatArray) 
         trusted = body.map.outline
     f = body.map.f[trusted] @ to_local
     sigma = np.sqrt(np.einsum("ai,nab,bi->ni", to_local, body.map.cov[trusted], to_local))
+    whole = _without_gaps(f[:, 0], sigma[:, 0]) & _without_gaps(f[:, 1], sigma[:, 1])
+    if whole.any():
+        f, sigma = f[whole], sigma[whole]
     sigma *= np.sqrt(2.0 * np.log(max(len(f), 2)))  # the greatest of so many errors
     lo, hi = (f + sigma).min(0), (f - sigma).max(0)
     crossed = lo > hi
@@ -128,6 +131,17 @@ GAP_M = 2.5
 
 REACH_M = 0.5
 """The same for who walks."""
+
+
+def _without_gaps(x: FloatArray, sigma: FloatArray) -> BoolArray:
+    """Which of the coordinates (N,) belong to the median one: no gap between them is certainly
+    longer than a lorry. What lies beyond is not of this body."""
+    order = np.argsort(x, kind="stable")
+    noise = np.hypot(sigma[order[1:]], sigma[order[:-1]])
+    part = np.append(0, np.cumsum(np.diff(x[order]) - _SIGMAS * noise > LORRY_SIZE_M[0]))
+    belongs = np.empty(len(x), dtype=np.bool_)
+    belongs[order] = part == part[len(x) // 2]
+    return belongs
 
 
 def may_belong(box: Box, p_world: FloatArray, sigma: FloatArray) -> BoolArray:
