@@ -114,7 +114,7 @@ def track_of(track_id: int, speed: float, size: FloatArray) -> ObjectTrack:
     return ObjectTrack(
         track_id=track_id, state="confirmed", position=np.zeros(3),
         velocity=np.array([0.0, speed, 0.0]), yaw=0.0, yaw_rate=0.0, size=size,
-        box_px=np.zeros(4), n_points=9, std_position=SHARP, std_velocity=SHARP,
+        box_px=np.zeros(4), n_points=9, std_position=SHARP, std_velocity=SHARP, std_size=SHARP,
     )  # fmt: skip
 
 

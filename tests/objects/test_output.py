@@ -26,9 +26,17 @@ def test_fields_are_those_of_the_track() -> None:
     np.testing.assert_array_equal(out.velocity, track.velocity)
     np.testing.assert_array_equal(out.box_px, [0.0, 1.0, 8.0, 9.0])
     variance = np.diag(track.covariance)
-    np.testing.assert_allclose(np.concatenate([out.std_position, out.std_velocity]) ** 2, variance)
+    np.testing.assert_allclose(out.std_velocity**2, variance[3:])
     np.testing.assert_array_equal(out.std_size, track.box.std_size)
     assert out.std_yaw == pytest.approx(np.sqrt(track.heading.variance))
+
+
+def test_the_centre_is_half_as_uncertain_as_the_size() -> None:
+    track = make_track((10.0, 1.0, 1.0), (3.0, 0.0, 0.0))
+    box = replace(track.box, yaw=0.5 * np.pi, std_size=np.array([2.0, 0.4, 0.6]))
+    out = converted(replace(track, box=box))
+    added = out.std_position**2 - np.diag(track.covariance)[:3]
+    np.testing.assert_allclose(added, [0.2**2, 1.0**2, 0.3**2], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,7 @@ def classified(
 ) -> tuple[dict[int, SpeedHistory], tuple[ObjectTrack, ...]]:
     """The tracks of a frame with `class_probability` set, and the histories of these tracks.
 
-    The uncertainty of an extent is that of the centre, to which the box's ends are bound.
+    A side of a vehicle that was not seen is as uncertain as vehicles' sizes are.
     """
     if not tracks:
         return {}, ()
@@ -137,7 +137,7 @@ def classified(
         np.array([history_log_likelihood(kept[track.track_id]) for track in tracks]),
         size_log_likelihood(
             np.array([track.size for track in tracks]),
-            np.array([track.std_position for track in tracks]),
+            np.array([track.std_size for track in tracks]),
         ),
     )
     named = zip(tracks, probability, strict=True)

@@ -4,6 +4,8 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.objects.body import rotation_z
+from ovmot.objects.body_box import Box
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_box import image_box, is_in_view
 from ovmot.types import ObjectTrack, ScenePoints
@@ -24,7 +26,7 @@ def to_object_track(
 
     World axes, SI; the image box in left pixels.
     """
-    sigma = np.sqrt(np.maximum(np.diag(track.covariance), 0.0))
+    variance = np.maximum(np.diag(track.covariance), 0.0)
     own = track_id == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
@@ -36,12 +38,19 @@ def to_object_track(
         size=track.size,
         box_px=image_box(track, points.pixels[own, :2], T_world_cam0, rig),
         n_points=int(own.sum()),
-        std_position=sigma[:3],
-        std_velocity=sigma[3:6],
+        std_position=np.sqrt(variance[:3] + _centre_variance(track.box)),
+        std_velocity=np.sqrt(variance[3:6]),
         std_size=track.box.std_size,
         std_yaw=float(np.sqrt(track.heading.variance)),
         std_yaw_rate=float(np.sqrt(track.body.state.P[7, 7])),
     )
+
+
+def _centre_variance(box: Box) -> FloatArray:
+    """Variances (3,) of a box's centre, in world: the face that was seen stays, so the centre is
+    off by half of what the size is."""
+    R = rotation_z(box.yaw)
+    return np.asarray(R**2 @ (0.5 * box.std_size) ** 2)
 
 
 def _output_state(
