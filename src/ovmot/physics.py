@@ -41,9 +41,7 @@ MEMS_NOISE = (1.7e-4, 2e-5, 2e-3, 3e-4)
 """Noise densities of a MEMS unit of the class of the Xsens MTi-300 or the ADIS16448, for data that
 say none: gyro rad/s/√Hz, its walk rad/s²/√Hz, accel m/s²/√Hz, its walk m/s³/√Hz."""
 
-# Road users. Sources: Directive 96/53/EC (greatest vehicle dimensions), friction of dry asphalt.
-MAX_ACCEL_MPS2 = 8.0
-"""Hardest braking of a road user: 0.8 g, the friction of tyres on dry asphalt."""
+# Road users. Sources: Directive 96/53/EC (greatest vehicle dimensions).
 ACCEL_SIGMA_MPS2 = 1.5
 """Standard deviation of a road user's acceleration along and across its way in ordinary traffic."""
 TURN_SPREAD_MPS = 0.5

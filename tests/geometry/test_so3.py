@@ -161,3 +161,10 @@ def test_between_vectors_turns_one_onto_the_other_by_the_least_angle(opening: fl
         R = so3.between_vectors(3.0 * a, 0.2 * b)
         np.testing.assert_allclose(R @ a, b, atol=1e-12)
         assert np.linalg.norm(so3.log(R)) == pytest.approx(opening, abs=1e-12)
+
+
+def test_rotation_about_z_is_the_exponential_along_z() -> None:
+    yaw = np.random.default_rng(4).uniform(-4.0, 4.0, (2, 3))
+    expected = so3.exp(yaw[..., None] * np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(so3.rotation_z(yaw), expected, atol=1e-12)
+    np.testing.assert_allclose(so3.rotation_z(0.5 * np.pi) @ [1.0, 0.0, 2.0], [0, 1, 2], atol=1e-12)

@@ -7,8 +7,9 @@ import pytest
 
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.so3 import rotation_z
 from ovmot.geometry.triangulation import project_stereo
-from ovmot.objects.body import GATES, rotation_z
+from ovmot.objects.body import GATES
 from ovmot.objects.body_kernel import (
     LEFT,
     N_BODY,

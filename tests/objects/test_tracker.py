@@ -12,9 +12,9 @@ from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import positions
+from ovmot.geometry.so3 import rotation_z
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
 from ovmot.objects import output
-from ovmot.objects.body import rotation_z
 from ovmot.objects.body_birth import start_body
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.tracker import ObjectTracker

@@ -10,7 +10,8 @@ from ovmot.datasets.pose_files import interpolate_poses, read_tum, write_tum
 from ovmot.errors import InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import AnyArray, FloatArray, IntArray
-from ovmot.sim.paths import MARGIN_S, rotation_z
+from ovmot.geometry.so3 import rotation_z
+from ovmot.sim.paths import MARGIN_S
 from ovmot.sim.recorded_paths import placement_at, recorded_path, rms_acceleration
 
 ORIGIN = 1_500_000_000_000_000_000

@@ -31,6 +31,16 @@ def exp(rotation_vector: FloatArray) -> FloatArray:
     return np.eye(3) + a * K + b * (K @ K)
 
 
+def rotation_z(yaw: FloatArray | float) -> FloatArray:
+    """Rotation matrices (..., 3, 3) about z by angles (...,) in rad."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    out = np.zeros((*np.shape(yaw), 3, 3))
+    out[..., 0, 0], out[..., 0, 1] = c, -s
+    out[..., 1, 0], out[..., 1, 1] = s, c
+    out[..., 2, 2] = 1.0
+    return out
+
+
 def log(rotation: FloatArray) -> FloatArray:
     """Rotation vectors (..., 3) in rad, of norm <= pi, of rotation matrices (..., 3, 3)."""
     R = np.asarray(rotation, dtype=np.float64)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.so3 import rotation_z
 from ovmot.kernels.table_kernel import columns_of_compiled
 from ovmot.objects.body_kernel import (
     LEFT,
@@ -109,12 +110,6 @@ def manoeuvres(focal: float) -> Manoeuvres:
     """Those of road users, seen by cameras of a focal length in pixels."""
     match = LEAST_MATCH_SIGMA_PX / focal
     return Manoeuvres(ACCEL_SIGMA_MPS2, YAW_RATE_SIGMA_RPS, MANOEUVRE_S, _LIFT, match)
-
-
-def rotation_z(yaw: float) -> FloatArray:
-    """R (3, 3) about z."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def empty_body(timestamp_ns: int, p: FloatArray, velocity: FloatArray) -> Body:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.objects.body import Body, rotation_z
+from ovmot.geometry.so3 import rotation_z
+from ovmot.objects.body import Body
 from ovmot.physics import CAR_SIZE_M, LORRY_SIZE_M, MAX_VEHICLE_SIZE_M, WALKER_MPS, WALKER_SIGMA_MPS
 
 _GRAZING = 0.5  # sine of 30 degrees: flatter, a side shows no texture that could be followed

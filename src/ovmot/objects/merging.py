@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ovmot.geometry.so3 import rotation_z
 from ovmot.objects.bodies_kernel import velocity_distance_compiled
-from ovmot.objects.body import rotation_z
 from ovmot.objects.track import Track, TrackState
 from ovmot.physics import CAR_SIZE_M, CYCLIST_SIZE_M, MAX_VEHICLE_SIZE_M, SIZE_SPREAD, gate
 

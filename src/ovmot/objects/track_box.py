@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.objects.features_kernel import points_near_boxes_compiled
 from ovmot.objects.track import Track, horizontal_variance
@@ -50,9 +50,7 @@ def image_box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: Stere
         return np.full(4, np.nan)
     half = 0.5 * track.size
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    c, s = np.cos(track.yaw), np.sin(track.yaw)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    corners = track.position + (signs * half) @ R.T
+    corners = track.position + (signs * half) @ so3.rotation_z(track.yaw).T
     uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
     edge = np.array([rig.cam0.width, rig.cam0.height]) - 0.5
     uv = np.clip(uv, -0.5, edge)  # and NaN where a corner is behind the camera

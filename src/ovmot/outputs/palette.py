@@ -39,9 +39,3 @@ def dimmed(color: Color) -> Color:
     """The same colour, half as bright."""
     blue, green, red = (c // 2 for c in color)
     return blue, green, red
-
-
-def hexadecimal(color: Color) -> str:
-    """The colour as web pages write it."""
-    blue, green, red = color
-    return f"#{red:02x}{green:02x}{blue:02x}"

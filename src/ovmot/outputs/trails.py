@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.geometry import se3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import FrameResult, ObjectTrack
 
@@ -63,9 +63,7 @@ def moved_ways(trail: FloatArray) -> FloatArray:
 
 def body_edges(track: ObjectTrack) -> FloatArray:
     """Ends (14, 2, 3) in the world of the edges of a track's box and of the cross on its front."""
-    c, s = np.cos(track.yaw), np.sin(track.yaw)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    corners = track.position + (_CORNERS * track.size) @ R.T
+    corners = track.position + (_CORNERS * track.size) @ so3.rotation_z(track.yaw).T
     return np.asarray(corners[np.concatenate([_EDGES, _FRONT])])
 
 

@@ -44,7 +44,7 @@ def drive_path(
         for size in (_ROLL_RAD, _PITCH_RAD, _BOUNCE_M)
     )
     pitch = pitch - _SQUAT_RAD_PER_MPS2 * np.gradient(speed(seconds), seconds)
-    R = rotation_z(yaw) @ so3.exp(np.stack([roll, pitch, np.zeros_like(yaw)], axis=-1))
+    R = so3.rotation_z(yaw) @ so3.exp(np.stack([roll, pitch, np.zeros_like(yaw)], axis=-1))
     T_world_vehicle = se3.make(R, np.concatenate([xy, bounce[:, None]], axis=-1))
     return PoseSpline.through(times, T_world_vehicle @ T_vehicle_body)
 
@@ -68,7 +68,9 @@ def traffic_path(
     xy, yaw = road.at(start_m + (-travelled if oncoming else travelled), offset_m)
     yaw = yaw + (np.pi if oncoming else 0.0)
     z = np.zeros((len(times), 1))
-    return PoseSpline.through(times, se3.make(rotation_z(yaw), np.concatenate([xy, z], axis=-1)))
+    return PoseSpline.through(
+        times, se3.make(so3.rotation_z(yaw), np.concatenate([xy, z], axis=-1))
+    )
 
 
 def straight_path(
@@ -84,7 +86,7 @@ def straight_path(
     p = np.zeros((len(times), 3))
     p[:, 0] = start_xy[0] + travelled * np.cos(yaw)
     p[:, 1] = start_xy[1] + travelled * np.sin(yaw)
-    return PoseSpline.through(times, se3.make(rotation_z(np.full(len(times), yaw)), p))
+    return PoseSpline.through(times, se3.make(so3.rotation_z(np.full(len(times), yaw)), p))
 
 
 def standing_path(T_world_body: FloatArray, origin_ns: int, duration_s: float) -> PoseSpline:
@@ -108,8 +110,3 @@ def sines(
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     waves = np.sin(2.0 * np.pi * frequency * seconds[:, None] + phase)
     return np.asarray(np.sqrt(2.0 / 3.0) * waves.sum(axis=-1))
-
-
-def rotation_z(yaw: FloatArray) -> FloatArray:
-    """Turns (..., 3, 3) about the vertical."""
-    return so3.exp(yaw[..., None] * np.array([0.0, 0.0, 1.0]))

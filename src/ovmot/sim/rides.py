@@ -9,7 +9,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.pose_files import read_tum
 from ovmot.errors import InputError
-from ovmot.geometry import se3
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
 from ovmot.sim.paths import MARGIN_S, drive_path, standing_path
@@ -71,9 +71,7 @@ def standing(
 ) -> Ride:  # fmt: skip
     """The vehicle stands where the scene's drive begins."""
     xy, yaw = road.at(np.array(drive.start_m), drive.offset_m)
-    c, s = np.cos(yaw), np.sin(yaw)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    T_world_imu = se3.make(R, np.array([*xy, 0.0])) @ _T_VEHICLE_IMU
+    T_world_imu = se3.make(so3.rotation_z(yaw), np.array([*xy, 0.0])) @ _T_VEHICLE_IMU
     path = standing_path(T_world_imu, origin_ns, duration_s)
     return Ride(rig, path, _T_VEHICLE_IMU, _VEHICLE_SIZE, SmoothSteps.make((0.0, 0.0)))
 

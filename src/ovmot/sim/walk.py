@@ -11,7 +11,7 @@ import numpy as np
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
-from ovmot.sim.paths import knot_times, rotation_z, sines
+from ovmot.sim.paths import knot_times, sines
 from ovmot.sim.profiles import Road, SmoothSteps
 
 WALKING_MPS = 1.3
@@ -56,7 +56,7 @@ def walk_path(
     turned = turned + _TREMOR_RAD * tremor[:, 3:]
     turned[:, 2] += _LOOK_RAD * sines(seconds, rng, *_LOOK_HZ)
     ground = np.concatenate([xy, np.zeros((len(xy), 1))], axis=-1)
-    along = se3.make(rotation_z(yaw), ground)
+    along = se3.make(so3.rotation_z(yaw), ground)
     return PoseSpline.through(times, along @ se3.make(so3.exp(turned), moved) @ T_walker_body)
 
 
