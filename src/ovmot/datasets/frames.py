@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +201,32 @@ def note_missing_images(
     missing = len(set(stamps) - set(found))
     text = f"{listed_in}: {missing} of {len(stamps)} stamps have no images: skipped"
     findings.note("stamps_without_image", missing, text)
+
+
+def pair_listed(
+    folders: tuple[Path, Path], listed: Path, read: Callable[[Path], StampedNames], root: Path,
+    findings: Findings, limits: ReadingLimits,
+) -> StereoListing:  # fmt: skip
+    """The pairs in the left and the right folder that a file lists, as `read` finds its stamps.
+
+    A stamp without a file name is as `present_images` has it. Without the file, images are numbered
+    by their names.
+    """
+    if not listed.exists():
+        left, right = (
+            camera_images(partial(numbered_images, folder), limits, findings) for folder in folders
+        )
+        return pair_images(left, right, root, findings, limits)
+    stamps = checked_stamps(read(listed), findings)
+    left, right = (
+        camera_images(
+            partial(present_images, stamps, folder, listed, limits.pair_tolerance_ns),
+            limits, findings,
+        )
+        for folder in folders
+    )  # fmt: skip
+    note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
+    return pair_images(left, right, root, findings, limits)
 
 
 def pair_images(

@@ -7,7 +7,6 @@ placed by `undistorted_calib_stereo.txt` (T_cam1_cam0), the IMU by `TS_cam_imu` 
 `Transformations.txt`, else by `T_cam_imu` of `camchain.yaml`.
 """
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +17,7 @@ from ovmot.datasets.findings import Findings, note_no_imu, note_no_imu_noise, re
 from ovmot.datasets.frames import (
     ReadingLimits,
     StereoListing,
-    camera_images,
-    checked_stamps,
-    note_missing_images,
-    numbered_images,
-    pair_images,
-    present_images,
+    pair_listed,
 )
 from ovmot.datasets.images import read_grey
 from ovmot.datasets.imu import checked_imu
@@ -78,22 +72,7 @@ class FourSeasonsReader:
 
 def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     folders = root / _IMAGES / "cam0", root / _IMAGES / "cam1"
-    listed = root / "times.txt"
-    if not listed.exists():
-        left, right = (
-            camera_images(partial(numbered_images, folder), limits, findings) for folder in folders
-        )
-        return pair_images(left, right, root, findings, limits)
-    stamps = checked_stamps(read_stamped_list(listed), findings)
-    left, right = (
-        camera_images(
-            partial(present_images, stamps, folder, listed, limits.pair_tolerance_ns),
-            limits, findings,
-        )
-        for folder in folders
-    )  # fmt: skip
-    note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings, limits)
+    return pair_listed(folders, root / "times.txt", read_stamped_list, root, findings, limits)
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:

@@ -1,6 +1,6 @@
 """KAIST Complex Urban folders: raw Bayer stereo images and an Xsens IMU."""
 
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 from ovmot.datasets.calibration import Calibration
@@ -8,18 +8,14 @@ from ovmot.datasets.findings import Findings, note_no_imu, refuse_choice
 from ovmot.datasets.frames import (
     ReadingLimits,
     StereoListing,
-    camera_images,
-    checked_stamps,
-    note_missing_images,
-    numbered_images,
-    pair_images,
-    present_images,
+    pair_listed,
 )
 from ovmot.datasets.images import read_bayer_as_grey
 from ovmot.datasets.imu import checked_imu
 from ovmot.datasets.kaist.calibration import read_kaist_calibration
 from ovmot.datasets.sequence import FolderSequence, assemble
 from ovmot.datasets.text_tables import (
+    StampedNames,
     column_count,
     read_stamped_csv,
     read_stamped_names,
@@ -75,22 +71,13 @@ class KaistReader:
 def _listing(root: Path, findings: Findings, limits: ReadingLimits) -> StereoListing:
     folders = root / "image" / "stereo_left", root / "image" / "stereo_right"
     listed = root / "sensor_data" / "stereo_stamp.csv"
-    if not listed.exists():
-        left, right = (
-            camera_images(partial(numbered_images, folder), limits, findings) for folder in folders
-        )
-        return pair_images(left, right, root, findings, limits)
-    stamps = checked_stamps(read_stamped_names(listed), findings)
-    bare = dict.fromkeys(stamps, "")
-    left, right = (
-        camera_images(
-            partial(present_images, bare, folder, listed, limits.pair_tolerance_ns),
-            limits, findings,
-        )
-        for folder in folders
-    )  # fmt: skip
-    note_missing_images(stamps, left.keys() | right.keys(), listed, findings)
-    return pair_images(left, right, root, findings, limits)
+    return pair_listed(folders, listed, _bare_stamps, root, findings, limits)
+
+
+def _bare_stamps(listed: Path) -> StampedNames:
+    """The listed stamps; what stands behind them is no name of a file."""
+    found = read_stamped_names(listed)
+    return replace(found, names=("",) * len(found.names))
 
 
 def _imu(path: Path, max_gap_s: float, findings: Findings) -> ImuData | None:
