@@ -1,28 +1,26 @@
 """The box of a body: the hull of its map, its heading, and what was not seen."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from object_fixtures import CAR_M, make_body
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.objects.body import Body
 from ovmot.objects.body_box import (
     GAP_M,
-    Heading,
     box_of,
     distance_to_hull,
     may_belong,
     new_heading,
     updated_heading,
 )
+from ovmot.objects.body_box_kernel import Heading
+from ovmot.objects.body_step_kernel import Body
 from ovmot.physics import CAR_SIZE_M, LORRY_SIZE_M
 
 CAMERA = np.array([-15.0, 0.0, 1.0])
 NOTHING = np.zeros(3)
 SEEN = Heading(0.0, 0.01, np.array([True, True]), True)
-FROM_BEHIND = replace(SEEN, shown=np.array([False, True]))
+FROM_BEHIND = SEEN._replace(shown=np.array([False, True]))
 
 
 def box_size(body: Body, heading: Heading = SEEN, least: FloatArray = NOTHING) -> list[float]:
@@ -43,12 +41,12 @@ def test_what_lies_far_behind_a_body_is_not_of_it() -> None:
     body = make_body(size=size)
     f = body.map.f.copy()
     f[0] = [30.0, 0.0, 0.0]
-    mixed = replace(body, map=replace(body.map, f=f))
+    mixed = body._replace(map=body.map._replace(f=f))
     assert box_of(mixed, SEEN, NOTHING, CAMERA).size[0] == pytest.approx(5.0, abs=0.1)
     # a point so uncertain that it may lie on the body stays
     cov = body.map.cov.copy()
     cov[0] = 100.0 * np.eye(3)
-    vague = replace(body, map=replace(body.map, f=f, cov=cov))
+    vague = body._replace(map=body.map._replace(f=f, cov=cov))
     assert box_of(vague, SEEN, NOTHING, CAMERA).size[0] > 5.1
 
 
@@ -75,7 +73,7 @@ def test_noise_does_not_make_a_box_longer() -> None:
     of_map = body.map
     noise = rng.normal(0.0, 1.0, (len(of_map.f), 3)) * [0.5, 0.0, 0.0]
     cov = np.broadcast_to(np.diag([0.25, 1e-12, 1e-12]), of_map.cov.shape).copy()
-    noisy = replace(body, map=replace(of_map, f=of_map.f + noise, cov=cov))
+    noisy = body._replace(map=of_map._replace(f=of_map.f + noise, cov=cov))
     assert box_size(noisy)[0] < CAR_M[0] + 0.5
 
 

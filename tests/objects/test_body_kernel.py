@@ -21,8 +21,8 @@ from ovmot.objects.body_kernel import (
     Gates,
     Manoeuvres,
     StereoView,
-    predict_body_compiled,
-    update_body_compiled,
+    predict_body,
+    update_body,
 )
 
 ROAD = Manoeuvres(accel=1.5, yaw_rate=0.25, time_s=2.0, lift=0.2, match=2e-4)
@@ -122,7 +122,7 @@ def predicted(s: BodyState, dt: float, ego: EgoStep, drift: FloatArray) -> BodyS
 def test_a_prediction_is_that_of_the_plain_twin(dt: float) -> None:
     rng = np.random.default_rng(1)
     s, ego, drift = ahead(rng), step_of(rng), rng.uniform(0.0, 1e-6, N)
-    found, twin = predict_body_compiled(s, dt, ROAD, ego, drift), predicted(s, dt, ego, drift)
+    found, twin = predict_body(s, dt, ROAD, ego, drift), predicted(s, dt, ego, drift)
     np.testing.assert_allclose(found.x, twin.x, atol=1e-12)
     np.testing.assert_array_equal(found.f, s.f)
     np.testing.assert_allclose(found.P, twin.P, atol=1e-8)
@@ -134,7 +134,7 @@ def test_who_brakes_does_not_go_back() -> None:
     s = ahead(rng)
     s.x[4:10] = [0.4, 0.0, 0.0, 0.0, -4.0, 0.0]
     still = EgoStep(np.broadcast_to(np.eye(4), (2, 4, 4)).copy(), np.zeros((12, 12)), np.zeros(3))
-    found = predict_body_compiled(s, 0.5, ROAD, still, np.zeros(N))
+    found = predict_body(s, 0.5, ROAD, still, np.zeros(N))
     np.testing.assert_array_equal(found.x[4:6], [0.0, 0.0])
     np.testing.assert_array_equal(found.x[:2], s.x[:2])
 
@@ -187,7 +187,7 @@ def test_an_update_is_that_of_the_plain_twin() -> None:
     xy[1], xy[2, 2:] = np.nan, np.nan
     xy[3] += 0.5
     view = StereoView(xy, T_cam0_world, T_CAM1_CAM0, np.full(4, 1e-6))
-    found, status, distance = update_body_compiled(s, view, GATES)
+    found, status, distance = update_body(s, view, GATES)
     twin, expected = updated(s, view, GATES)
     assert status.tolist() == expected.tolist() == [STEREO, UNSEEN, LEFT, REFUSED, STEREO, STEREO]
     np.testing.assert_allclose(found.x, twin.x, atol=2e-5)
@@ -213,13 +213,13 @@ def test_a_filtered_body_is_as_sure_as_it_says() -> None:
         start[4:7] += rng.normal(0.0, [2.0, 2.0, 0.5])
         s = BodyState(start, f + rng.normal(0.0, 0.2, f.shape), P)
         for k in range(1, 11):
-            s = predict_body_compiled(s, 0.1, ROAD, still, np.zeros(8))
+            s = predict_body(s, 0.1, ROAD, still, np.zeros(8))
             p = x[:3] + 0.1 * k * np.array([4.0, 0.0, 0.0]) + f
             h, _ = project_stereo(p, T_CAM1_CAM0)
             view = StereoView(
                 h + rng.normal(0.0, 1e-3, h.shape), np.eye(4), T_CAM1_CAM0, np.full(4, 1e-6)
             )
-            s, _, _ = update_body_compiled(s, view, GATES)
+            s, _, _ = update_body(s, view, GATES)
         e = s.x[4:7] - [4.0, 0.0, 0.0]
         nees.append(e @ np.linalg.solve(s.P[4:7, 4:7], e))
     assert 0.3 * 3.0 < np.mean(nees) < 1.5 * 3.0

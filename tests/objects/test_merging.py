@@ -93,4 +93,4 @@ def test_a_track_that_is_hardly_known_may_be_off() -> None:
     assert ids_after((car, new)) == [0, 1]
     x, f, P = car.body.state
     P = P + np.diag([1.0, 1.0, *np.zeros(len(P) - 2)])
-    assert ids_after((replace(car, body=replace(car.body, state=BodyState(x, f, P))), new)) == [0]
+    assert ids_after((replace(car, body=car.body._replace(state=BodyState(x, f, P))), new)) == [0]

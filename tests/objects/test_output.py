@@ -33,7 +33,7 @@ def test_fields_are_those_of_the_track() -> None:
 
 def test_the_centre_is_half_as_uncertain_as_the_size() -> None:
     track = make_track((10.0, 1.0, 1.0), (3.0, 0.0, 0.0))
-    box = replace(track.box, yaw=0.5 * np.pi, std_size=np.array([2.0, 0.4, 0.6]))
+    box = track.box._replace(yaw=0.5 * np.pi, std_size=np.array([2.0, 0.4, 0.6]))
     out = converted(replace(track, box=box))
     added = out.std_position**2 - np.diag(track.covariance)[:3]
     np.testing.assert_allclose(added, [0.2**2, 1.0**2, 0.3**2], atol=1e-9)
@@ -54,5 +54,5 @@ def test_a_missed_track_stays_confirmed_while_it_is_known_in_view(
     track = make_track((x, 0.0, 1.0), state=TrackState.COASTING)
     before = track.body.state
     unsure = BodyState(before.x, before.f, sigma_m**2 * np.eye(len(before.P)))
-    track = replace(track, body=replace(track.body, state=unsure))
+    track = replace(track, body=track.body._replace(state=unsure))
     assert converted(track, FRAME_NS + round(1e9 * missed_s)).state == state

@@ -1,21 +1,19 @@
 """A new body: the filter run over the frames that its measurement was made from."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body import (
-    Body,
     advance,
     empty_body,
     with_filled_state,
     with_members,
     with_velocity_prior,
 )
-from ovmot.objects.frame_views import FrameViews, ego_step, views_then
+from ovmot.objects.body_step_kernel import Body, FrameViews
+from ovmot.objects.frame_views import drift_variance, ego_step, views_then
 from ovmot.types import PoseWindow
 
 _LEAST = 3  # features in a frame: a body's motion
@@ -38,7 +36,7 @@ def start_body(
     shown = np.isfinite(history.p_then[:, own, 2]).sum(1)
     rows = np.flatnonzero(shown >= _LEAST).tolist()
     earlier = views_then(history, rows, feature_id, frame.timestamp_ns, window, rig)
-    frames = [*earlier, _after(frame, history, rows, window)]
+    frames = [*earlier, _after(frame, history, rows, window, rig)]
     first = frames[0]
     seen = np.isin(first.feature_id, feature_id) & np.isfinite(first.p_world[:, 0])
     centre = np.median(first.p_world[seen], axis=0)
@@ -51,12 +49,13 @@ def start_body(
 
 
 def _after(
-    frame: FrameViews, history: StereoHistory, rows: list[int], window: PoseWindow
+    frame: FrameViews, history: StereoHistory, rows: list[int], window: PoseWindow, rig: StereoRig
 ) -> FrameViews:
     """The newest frame as the one after the last of the rows, in the world as it is now."""
-    frame = replace(frame, correction=np.eye(4))
+    frame = frame._replace(correction=np.eye(4))
     if not rows:
         return frame
     clone = int(np.searchsorted(window.timestamp_ns, history.clone_ns[rows[-1]]))
     step = ego_step(window, clone, len(window.timestamp_ns) - 1, frame.T_world_cam0)
-    return replace(frame, step=step, n_frames=int(history.n_frames[rows[-1]]))
+    drift = drift_variance(history.noise, rig, int(history.n_frames[rows[-1]]))
+    return frame._replace(step=step, drift_variance=drift)

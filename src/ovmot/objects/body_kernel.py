@@ -7,13 +7,12 @@ tests/objects/test_body_kernel.py holds the plain NumPy twins.
 """
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
+from ovmot.kernels.cache import inlined_part, part
 from ovmot.kernels.small_matrices import factor, solve_lower
 from ovmot.kernels.stereo import project, transform
 
@@ -71,6 +70,7 @@ class Gates(NamedTuple):
     huber: tuple[float, float]
 
 
+@part
 def predict_body(
     s: BodyState, dt: float, m: Manoeuvres, ego: EgoStep, drift: FloatArray
 ) -> BodyState:
@@ -213,6 +213,7 @@ class Innovation(NamedTuple):
     S: FloatArray
 
 
+@part
 def update_body(
     s: BodyState, view: StereoView, gates: Gates
 ) -> tuple[BodyState, IntArray, FloatArray]:
@@ -343,8 +344,3 @@ def correct(
             w = row[b]
             for c in range(N):
                 s.P[b, c] -= w * row[c]
-
-
-_FOLDER = code_folder(Path(__file__))
-predict_body_compiled = compiled(predict_body, _FOLDER)
-update_body_compiled = compiled(update_body, _FOLDER)

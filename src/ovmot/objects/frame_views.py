@@ -1,55 +1,15 @@
 """What one frame shows the bodies: its features' views and places, and the rig's step to it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.triangulation import stereo_covariance
 from ovmot.objects.body_kernel import EgoStep
+from ovmot.objects.body_step_kernel import FrameViews
 from ovmot.types import PixelNoise, PoseWindow, ScenePoints
-
-
-@dataclass(frozen=True, slots=True)
-class FrameViews:
-    """N features of one frame.
-
-    `xy` (N, 4): normalized, NaN where unseen; `p_world` (N, 3): places by this stereo pair alone
-    with covariance (N, 3, 3), NaN without one. `variance` (4,): of the normalized coordinates;
-    `n_frames`: since the frame before. `step`: the rig's since then; `correction` (4, 4): of the
-    world since the last frame was processed.
-    """
-
-    timestamp_ns: int
-    feature_id: IntArray
-    xy: FloatArray
-    p_world: FloatArray
-    cov_world: FloatArray
-    T_world_cam0: FloatArray
-    T_cam0_world: FloatArray
-    T_cam1_cam0: FloatArray
-    variance: FloatArray
-    focal: float
-    baseline: float
-    noise: PixelNoise
-    n_frames: int
-    step: EgoStep
-    correction: FloatArray
-
-    def has_place(self, at: IntArray) -> BoolArray:
-        """Which rows (k,), -1 for none, have a stereo pair."""
-        out = at >= 0
-        out[out] = np.isfinite(self.p_world[at[out], 0])
-        return out
-
-    def drift_variance(self, flow: FloatArray) -> FloatArray:
-        """Variances (n,), rad², by which patches drift while they move by (n, 2), normalized."""
-        per_frame = self.n_frames * (self.noise.drift_per_frame_px / self.focal) ** 2
-        way = np.nan_to_num((flow**2).sum(-1))
-        return np.asarray(per_frame + self.noise.drift_per_flow**2 * way)
 
 
 def views_now(
@@ -64,7 +24,8 @@ def views_now(
         now_ns, points.feature_id, rig.normalize(points.pixels),
         se3.apply(T_world_cam0, points.p_cam0), R @ points.cov_cam0 @ R.T, T_world_cam0,
         se3.inverse(T_world_cam0), np.ascontiguousarray(rig.T_cam1_cam0),
-        rig.normalized_sigma(noise.sigma_px) ** 2, rig.cam0.fx, rig.baseline, noise, 1,
+        rig.normalized_sigma(noise.sigma_px) ** 2, rig.cam0.fx, rig.baseline,
+        drift_variance(noise, rig, 1), noise.drift_per_flow,
         ego_step(window, common, len(window.timestamp_ns) - 1, T_world_cam0), correction,
     )  # fmt: skip
 
@@ -107,13 +68,20 @@ def views_then(
                 rig.normalized_sigma(history.noise.sigma_px) ** 2,
                 rig.cam0.fx,
                 rig.baseline,
-                history.noise,
-                int(history.n_frames[before] - history.n_frames[row]),
+                drift_variance(
+                    history.noise, rig, int(history.n_frames[before] - history.n_frames[row])
+                ),
+                history.noise.drift_per_flow,
                 ego_step(window, int(clone[before]), int(clone[row]), T),
                 np.eye(4),
             )
         )
     return frames
+
+
+def drift_variance(noise: PixelNoise, rig: StereoRig, n_frames: int) -> float:
+    """Variance, rad², of a patch's drift over some frames."""
+    return n_frames * (noise.drift_per_frame_px / rig.cam0.fx) ** 2
 
 
 def ego_step(window: PoseWindow, before: int, now: int, T_world_cam0: FloatArray) -> EgoStep:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ovmot.geometry.so3 import rotation_z
 from ovmot.objects.bodies_kernel import velocity_distance_compiled
+from ovmot.objects.body_box import gap_of
 from ovmot.objects.track import Track, TrackState
 from ovmot.physics import CAR_SIZE_M, CYCLIST_SIZE_M, MAX_VEHICLE_SIZE_M, SIZE_SPREAD, gate
 
@@ -61,7 +62,7 @@ def _are_one(track: Track, other: Track) -> bool:
         return bool(np.hypot(gap[0], gap[1]) == 0.0)
     largest = MAX_VEHICLE_SIZE_M if more.box.is_vehicle else _MAX_RIDER_M
     fits = bool((whole <= np.maximum(2.0 * half, largest)).all())
-    return fits and float(np.hypot(gap[0], gap[1])) < more.box.gap_m + sigma
+    return fits and float(np.hypot(gap[0], gap[1])) < gap_of(more.box) + sigma
 
 
 def _beside(track: Track, other: Track) -> bool:

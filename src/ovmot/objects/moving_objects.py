@@ -10,8 +10,8 @@ from ovmot.feature_table import StereoHistory
 from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import Feedback
-from ovmot.objects.body import Body
 from ovmot.objects.body_birth import start_body
+from ovmot.objects.body_step_kernel import Body
 from ovmot.objects.frame_views import views_now
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.objects.motion_class import SpeedHistory, classified

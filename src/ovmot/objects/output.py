@@ -5,7 +5,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.so3 import rotation_z
-from ovmot.objects.body_box import Box
+from ovmot.objects.body_box_kernel import Box
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_box import image_box, is_in_view
 from ovmot.types import ObjectTrack, ScenePoints

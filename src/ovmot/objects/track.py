@@ -1,14 +1,16 @@
 """One track of a body: the body, its box, and how it is started, predicted and updated."""
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.body import Body, advance, with_filled_state, with_members
-from ovmot.objects.body_box import Box, Heading, box_of, new_heading, updated_heading
-from ovmot.objects.frame_views import FrameViews
+from ovmot.objects.body import advance, with_filled_state, with_members
+from ovmot.objects.body_box import box_of, new_heading, steady_box, updated_heading
+from ovmot.objects.body_box_kernel import Box, Heading
+from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.physics import gate
 from ovmot.settings import ObjectTrackSettings
@@ -108,7 +110,7 @@ def start_track(
     track_id: int, frame: FrameViews, measurement: ObjectMeasurement, body: Body
 ) -> Track:
     """A track of a new body, from a measurement that is associated with no other one."""
-    camera = frame.T_world_cam0[:3, 3]
+    camera = frame.step.centre
     heading = updated_heading(new_heading(), body, measurement.position, camera, 0.1)
     box = box_of(body, heading, np.zeros(3), camera)
     now_ns = frame.timestamp_ns
@@ -147,16 +149,22 @@ def advance_track(track: Track, frame: FrameViews) -> Track:
     if body.n_used < LEAST_SEEN:
         return _unseen(track, body)
     state = TrackState.CONFIRMED if track.state == TrackState.COASTING else track.state
-    heading = updated_heading(track.heading, body, track.position, frame.T_world_cam0[:3, 3], dt)
-    updated = replace(track, body=body, state=state, heading=heading, updated_ns=frame.timestamp_ns)
-    return _with_steady_box(updated, track, frame)
+    camera = frame.step.centre
+    heading = updated_heading(track.heading, body, track.position, camera, dt)
+    # the box changes slowly in the body's frame, as more of it is seen
+    age_s = 1e-9 * (frame.timestamp_ns - track.born_ns)
+    gain = 1.0 - math.exp(-dt / max(min(age_s, _STEADY_S), dt))
+    box = steady_box(body, track.body, heading, track.box, track.least_size, camera, gain)
+    return replace(
+        track, body=body, state=state, heading=heading, box=box, updated_ns=frame.timestamp_ns
+    )
 
 
 def _unseen(track: Track, body: Body) -> Track:
     """A track whose body was predicted only; its box goes with it."""
     moved = body.state.x[:3] - track.body.state.x[:3]
-    box = replace(
-        track.box, centre=track.box.centre + moved, hull_centre=track.box.hull_centre + moved
+    box = track.box._replace(
+        centre=track.box.centre + moved, hull_centre=track.box.hull_centre + moved
     )
     state = track.state if track.state == TrackState.TENTATIVE else TrackState.COASTING
     return replace(track, body=body, state=state, box=box)
@@ -164,22 +172,9 @@ def _unseen(track: Track, body: Body) -> Track:
 
 def with_box(track: Track, frame: FrameViews) -> Track:
     """The track with the box of its map."""
-    box = box_of(track.body, track.heading, track.least_size, frame.T_world_cam0[:3, 3])
-    return replace(track, box=box)
-
-
-def _with_steady_box(track: Track, before: Track, frame: FrameViews) -> Track:
-    """The track with a box that changes slowly in the body's frame, as more of it is seen."""
-    new = with_box(track, frame)
-    old, R_old, R_new = before.box, before.body.rotation, track.body.rotation
-    dt = 1e-9 * (frame.timestamp_ns - before.body.timestamp_ns)
-    age_s = 1e-9 * (frame.timestamp_ns - before.born_ns)
-    gain = 1.0 - np.exp(-dt / max(min(age_s, _STEADY_S), dt))
-    offset = R_old.T @ (old.centre - before.body.state.x[:3])
-    target = R_new.T @ (new.box.centre - track.body.state.x[:3])
-    centre = track.body.state.x[:3] + R_new @ (offset + gain * (target - offset))
-    size = old.size + gain * (new.box.size - old.size)
-    return replace(new, box=replace(new.box, centre=centre, size=size))
+    return replace(
+        track, box=box_of(track.body, track.heading, track.least_size, frame.step.centre)
+    )
 
 
 def centre_sigma(size: FloatArray) -> FloatArray:
@@ -220,8 +215,8 @@ def measured_track(
 
 def found_again(track: Track, body: Body, frame: FrameViews) -> Track:
     """A track that was lost, with a new body in its place; its size stays."""
-    camera = frame.T_world_cam0[:3, 3]
-    heading = replace(new_heading(), shown=track.heading.shown, drives=track.heading.drives)
+    camera = frame.step.centre
+    heading = new_heading()._replace(shown=track.heading.shown, drives=track.heading.drives)
     heading = updated_heading(heading, body, body.state.x[:3], camera, 0.1)
     found = replace(track, body=body, heading=heading, least_size=track.box.size)
     return with_box(found, frame)

@@ -10,8 +10,9 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained, union
 from ovmot.kernels.table_kernel import columns_of_compiled
 from ovmot.objects.association import associate
-from ovmot.objects.body import Body, with_members, without_members
+from ovmot.objects.body import with_members, without_members
 from ovmot.objects.body_box import distance_to_hull, may_belong
+from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.feature_motions import (
     CLEARLY,
     FeatureHistory,
@@ -19,7 +20,6 @@ from ovmot.objects.feature_motions import (
     distances_from_rest_and_body,
     moving_with,
 )
-from ovmot.objects.frame_views import FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.merging import BESIDE_NS, merge_duplicates
 from ovmot.objects.output import to_object_track
@@ -77,7 +77,7 @@ class ObjectTracker:
         for i, j in matches.items():
             if tracks[i].state == TrackState.COASTING or tracks[i].body.n_used < LEAST_SEEN:
                 body = new_body(measurements[j])
-                if body.has_outline:
+                if body.map.outline.any():
                     tracks[i] = found_again(tracks[i], body, frame)
             own = _own_features(tracks, i, measurements[j], frame)
             tracks[i] = measured_track(tracks[i], measurements[j], own, frame, settings)
@@ -86,7 +86,7 @@ class ObjectTracker:
         # 4 start tracks by the other measurements
         for j in sorted(set(range(len(measurements))) - set(matches.values())):
             body = new_body(measurements[j])
-            if body.has_outline:
+            if body.map.outline.any():
                 tracks.append(start_track(self._next_id, frame, measurements[j], body))
                 self._next_id += 1
         # 5 drop lost tracks, update the sets of features, merge duplicates

@@ -1,0 +1,228 @@
+"""The compiled box of a body: the hull of its map along its heading, and what was never seen of it.
+
+tests/objects/test_body_box_kernel.py holds the plain NumPy twins.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.objects.body_step_kernel import Body
+
+_SIDE_M = 1e-3  # shorter vectors have no direction
+_WHOLE = 0.5  # of the usual size: what shows less of a side does not show all of it
+_TRUSTED = 2  # frames in which a feature of the hull was seen
+
+
+class Heading(NamedTuple):
+    """Direction of travel in the body's frame, rad, its variance, and which of its sides were ever
+    seen: along (that shows its length) and across it (its width)."""
+
+    angle: float
+    variance: float
+    shown: BoolArray
+    drives: bool
+
+
+class Box(NamedTuple):
+    """Centre (3,) in world, yaw, size (3,): length, width, height, and standard deviations (3,).
+
+    `hull_centre`, `hull_size` (3,): of what was seen of the body, along the same axes.
+    """
+
+    centre: FloatArray
+    yaw: float
+    size: FloatArray
+    std_size: FloatArray
+    hull_centre: FloatArray
+    hull_size: FloatArray
+    is_vehicle: bool
+
+
+class Sizes(NamedTuple):
+    """Of road users, m: usual ones of cars and lorries (3,), the greatest (3,); from `vehicle_m`
+    across their way they are no walkers. A side that was seen ends within `seen_sigma` of its
+    features, one that was not is uncertain by `unseen_share`; none is smaller than `least`."""
+
+    car: FloatArray
+    lorry: FloatArray
+    greatest: FloatArray
+    vehicle_m: float
+    seen_sigma: float
+    unseen_share: float
+    least: float
+
+
+class Headings(NamedTuple):
+    """Of a body's heading: how it wanders against the frame, rad/√s, up to which standard
+    deviation, rad, a velocity tells it, the sine of the flattest view that shows a side, and from
+    which speed, m/s, a body drives."""
+
+    wander: float
+    told: float
+    grazing: float
+    drives_mps: float
+
+
+def turned_heading(
+    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, dt: float, h: Headings
+) -> Heading:
+    """The heading after dt seconds, by the body's velocity, and the sides that a `camera` (3,)
+    sees of its `centre` (3,)."""
+    x, P = body.state.x, body.state.P
+    speed = math.sqrt(x[4] ** 2 + x[5] ** 2)
+    angle, variance = heading.angle, heading.variance + h.wander**2 * dt
+    across, along = math.inf, math.inf
+    if speed > _SIDE_M:
+        c, s = x[4] / speed, x[5] / speed
+        across = (s * s * P[4, 4] - 2.0 * s * c * P[4, 5] + c * c * P[5, 5]) / speed**2
+        along = math.sqrt(max(c * c * P[4, 4] + 2.0 * s * c * P[4, 5] + s * s * P[5, 5], 0.0))
+    if across < h.told**2:
+        noise = across * max(1.0 / max(dt, 1e-3), 1.0)  # errors persist for about a second
+        off = math.atan2(x[5], x[4]) - x[3] - angle
+        off = (off + math.pi) % (2.0 * math.pi) - math.pi
+        gain = variance / (variance + noise)
+        angle, variance = angle + gain * off, (1.0 - gain) * variance
+    ray_x, ray_y = centre[0] - camera[0], centre[1] - camera[1]
+    length = max(math.sqrt(ray_x**2 + ray_y**2), 1e-9)
+    cosine = abs(math.cos(x[3] + angle) * ray_x + math.sin(x[3] + angle) * ray_y) / length
+    sine = math.sqrt(max(1.0 - cosine**2, 0.0))
+    shown = heading.shown.copy()
+    shown[0] |= sine > h.grazing
+    shown[1] |= cosine > h.grazing
+    drives = heading.drives or speed - 2.0 * along > h.drives_mps
+    return Heading(angle, variance, shown, drives)
+
+
+def box_of_body(
+    body: Body, heading: Heading, least: FloatArray, camera: FloatArray, gap: float, sizes: Sizes
+) -> Box:
+    """The box of a body seen by a `camera` (3,), of at least the size `least` (3,).
+
+    What was not seen of a vehicle is as large as a passenger car's, behind what was. What lies
+    beyond a `gap`, m, is not of this body.
+    """
+    x, lo, hi = body.state.x, np.empty(3), np.empty(3)
+    c, s = math.cos(x[3] + heading.angle), math.sin(x[3] + heading.angle)
+    hull_of(body, heading.angle, gap, lo, hi)
+    tall = hi[1] - lo[1] > sizes.car[1] or hi[2] - lo[2] > sizes.car[2]
+    vehicle = heading.drives or hi[1] - lo[1] > sizes.vehicle_m
+    usual = sizes.lorry if tall and heading.drives else sizes.car
+    size, std, middle, local = np.empty(3), np.full(3, sizes.seen_sigma), np.empty(3), np.empty(3)
+    eye_x, eye_y = camera[0] - x[0], camera[1] - x[1]
+    eye = (c * eye_x + s * eye_y, c * eye_y - s * eye_x, camera[2] - x[2])
+    for a in range(3):
+        seen = hi[a] - lo[a]
+        middle[a] = 0.5 * (lo[a] + hi[a])
+        size[a] = max(seen, least[a], sizes.least)
+        if vehicle and a < 2 and size[a] < usual[a]:
+            if not heading.shown[a] or size[a] < _WHOLE * usual[a]:
+                size[a], std[a] = usual[a], sizes.unseen_share * usual[a]
+        size[a] = min(size[a], sizes.greatest[a])
+        # the nearer face stays
+        local[a] = lo[a] + 0.5 * size[a] if eye[a] < middle[a] else hi[a] - 0.5 * size[a]
+    local[2] = middle[2]
+    centre, hull_centre = np.empty(3), np.empty(3)
+    for place, out in ((local, centre), (middle, hull_centre)):
+        out[0] = x[0] + c * place[0] - s * place[1]
+        out[1] = x[1] + s * place[0] + c * place[1]
+        out[2] = x[2] + place[2]
+    return Box(centre, x[3] + heading.angle, size, std, hull_centre, hi - lo, vehicle)
+
+
+@part
+def hull_of(body: Body, angle: float, gap: float, lo: FloatArray, hi: FloatArray) -> None:
+    """The least and greatest coordinates (3,) of the outline along a heading, each less the
+    greatest error that is to be expected of so many."""
+    m, n = body.map, 0
+    own = np.empty(len(m.f), np.int64)
+    for least in (_TRUSTED, 0):  # those seen more than once, if there are enough
+        n = 0
+        for k in range(len(m.f)):
+            if m.outline[k] and m.count[k] >= least:
+                own[n] = k
+                n += 1
+        if n >= 3:
+            break
+    f, sigma, c, s = np.empty((3, n)), np.empty((3, n)), math.cos(angle), math.sin(angle)
+    for i in range(n):
+        p, C = m.f[own[i]], m.cov[own[i]]
+        f[0, i], f[1, i], f[2, i] = c * p[0] + s * p[1], c * p[1] - s * p[0], p[2]
+        sigma[0, i] = math.sqrt(max(c * c * C[0, 0] + 2.0 * c * s * C[0, 1] + s * s * C[1, 1], 0.0))
+        sigma[1, i] = math.sqrt(max(s * s * C[0, 0] - 2.0 * c * s * C[0, 1] + c * c * C[1, 1], 0.0))
+        sigma[2, i] = math.sqrt(max(C[2, 2], 0.0))
+    whole = near_the_median(f[0], sigma[0], gap) & near_the_median(f[1], sigma[1], gap)
+    n_whole = np.sum(whole)
+    wider = math.sqrt(2.0 * math.log(max(n_whole if n_whole > 0 else n, 2)))
+    for a in range(3):
+        lo[a], hi[a] = math.inf, -math.inf
+        for i in range(n):
+            if whole[i] or n_whole == 0:
+                lo[a] = min(lo[a], f[a, i] + wider * sigma[a, i])
+                hi[a] = max(hi[a], f[a, i] - wider * sigma[a, i])
+        if lo[a] > hi[a]:
+            lo[a] = hi[a] = 0.5 * (lo[a] + hi[a])
+
+
+@part
+def near_the_median(x: FloatArray, sigma: FloatArray, gap: float) -> BoolArray:
+    """Which of the coordinates (n,) have no gap between them and the median one that is certainly,
+    by two standard deviations, longer than `gap`."""
+    n, order = len(x), np.argsort(x)
+    out, middle = np.zeros(n, np.bool_), n // 2
+    for step, start in ((1, middle), (-1, middle)):
+        k = start
+        out[order[k]] = True
+        while 0 <= k + step < n:
+            a, b = order[k], order[k + step]
+            noise = math.sqrt(sigma[a] ** 2 + sigma[b] ** 2)
+            if abs(x[b] - x[a]) - 2.0 * noise > gap:
+                break
+            out[b] = True
+            k += step
+    return out
+
+
+def steadied(
+    new: Box, old: Box, place: FloatArray, place_before: FloatArray, gain: float
+) -> Box:
+    """A box that changes slowly in the body's frame from the `old` one to the `new`, by a gain.
+
+    `place`, `place_before` (4,): of the body and its yaw, now and then.
+    """
+    c, s = math.cos(place_before[3]), math.sin(place_before[3])
+    dx, dy = old.centre[0] - place_before[0], old.centre[1] - place_before[1]
+    x, y, z = c * dx + s * dy, c * dy - s * dx, old.centre[2] - place_before[2]
+    c, s = math.cos(place[3]), math.sin(place[3])
+    dx, dy = new.centre[0] - place[0], new.centre[1] - place[1]
+    x += gain * (c * dx + s * dy - x)
+    y += gain * (c * dy - s * dx - y)
+    z += gain * (new.centre[2] - place[2] - z)
+    centre = np.empty(3)
+    centre[0], centre[1] = place[0] + c * x - s * y, place[1] + s * x + c * y
+    centre[2] = place[2] + z
+    size = old.size + gain * (new.size - old.size)
+    return Box(
+        centre, new.yaw, size, new.std_size, new.hull_centre, new.hull_size, new.is_vehicle
+    )  # fmt: skip
+
+
+def steady_box(
+    body: Body, before: FloatArray, heading: Heading, old: Box, least: FloatArray,
+    camera: FloatArray, gain: float, gap: float, sizes: Sizes,
+) -> Box:  # fmt: skip
+    """The box of a body as `box_of_body` has it, steadied against the `old` one, of when its frame
+    was at `before` (4,): place and yaw."""
+    new = _box_of_body(body, heading, least, camera, gap, sizes)
+    return _steadied(new, old, body.state.x, before, gain)
+
+
+_box_of_body, _steadied = part(box_of_body), part(steadied)
+_FOLDER = code_folder(Path(__file__))
+turned_heading_compiled = compiled(turned_heading, _FOLDER)
+box_of_body_compiled = compiled(box_of_body, _FOLDER)
+steady_box_compiled = compiled(steady_box, _FOLDER)
