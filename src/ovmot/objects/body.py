@@ -8,11 +8,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body_kernel import N_BODY, BodyState, Gates, Manoeuvres
-from ovmot.objects.body_members_kernel import (
-    fill_state_compiled,
-    join_map_compiled,
-    leave_body_compiled,
-)
+from ovmot.objects.body_members_kernel import exchange_members_compiled
 from ovmot.objects.body_step_kernel import Body, FeatureMap, FrameViews, advance_body_compiled
 from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
@@ -33,6 +29,7 @@ GATES = Gates(
     (gate(2, _IN_HUBER), gate(4, _IN_HUBER)),
 )
 VELOCITY = slice(4, 7)
+_NONE = np.empty(0, np.int64)
 
 
 def manoeuvres(focal: float) -> Manoeuvres:
@@ -77,19 +74,17 @@ def advance(body: Body, frame: FrameViews) -> Body:
     )
 
 
-def with_members(
-    body: Body, frame: FrameViews, feature_id: IntArray, *, outline: bool = True
-) -> Body:
-    """The body with further features (k,) of a frame, by their stereo places, in its map; its
-    `outline` goes around them, or not."""
-    return join_map_compiled(body, frame, feature_id, outline) if len(feature_id) else body
+def with_members(body: Body, frame: FrameViews, feature_id: IntArray) -> Body:
+    """The body with further features (k,) of a frame, by their stereo places, in its map."""
+    return exchange_members_compiled(body, frame, _NONE, feature_id, True, 0)
 
 
-def without_members(body: Body, ids: IntArray) -> Body:
-    """The body without some features (k,), which another body holds."""
-    return leave_body_compiled(body, ids) if len(ids) else body
+def exchange_members(body: Body, frame: FrameViews, leaves: IntArray, joins: IntArray) -> Body:
+    """The body without and with some features of a frame, and with followed ones of its map in the
+    state, up to `MOST_IN_STATE`. The outline does not go around those that join."""
+    return exchange_members_compiled(body, frame, leaves, joins, False, MOST_IN_STATE)
 
 
 def with_filled_state(body: Body, frame: FrameViews) -> Body:
     """The body with followed features of its map in the state, up to `MOST_IN_STATE`."""
-    return fill_state_compiled(body, frame, MOST_IN_STATE)
+    return exchange_members_compiled(body, frame, _NONE, _NONE, False, MOST_IN_STATE)

@@ -2,21 +2,20 @@
 
 import numpy as np
 
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.geometry.so3 import rotation_z
+from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.body_box_kernel import (
     Box,
     Heading,
     Headings,
     Sizes,
     box_of_body_compiled,
+    carried_box_compiled,
     steady_box_compiled,
     turned_heading_compiled,
 )
 from ovmot.objects.body_step_kernel import Body
 from ovmot.physics import CAR_SIZE_M, LORRY_SIZE_M, MAX_VEHICLE_SIZE_M, WALKER_MPS, WALKER_SIGMA_MPS
 
-_SIGMAS = 2.0  # of a point's place
 _SIZES = Sizes(
     car=np.array(CAR_SIZE_M),
     lorry=np.array(LORRY_SIZE_M),
@@ -75,20 +74,6 @@ def steady_box(
     )
 
 
-def may_belong(box: Box, p_world: FloatArray, sigma: FloatArray) -> BoolArray:
-    """Which points (N, 3), with standard deviations (N,), may be of the body of a box.
-
-    With each of them its hull must be no larger than vehicles are, nor have a greater gap.
-    """
-    local = (p_world - box.hull_centre) @ rotation_z(box.yaw)
-    outside = np.maximum(np.abs(local) - 0.5 * box.hull_size, 0.0)
-    outside = np.maximum(outside - _SIGMAS * sigma[:, None], 0.0)
-    fits = (box.hull_size + outside <= np.maximum(box.hull_size, MAX_VEHICLE_SIZE_M)).all(1)
-    return np.asarray(fits & (outside[:, :2].max(1) < gap_of(box)))
-
-
-def distance_to_hull(box: Box, p_world: FloatArray) -> FloatArray:
-    """Distances (N,) of points (N, 3) to the hull of a box, 0 inside."""
-    local = (p_world - box.hull_centre) @ rotation_z(box.yaw)
-    outside = np.maximum(np.abs(local) - 0.5 * box.hull_size, 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=1))
+def carried_box(body: Body, before: Body, box: Box) -> Box:
+    """The box of a body that was not seen since it was as `before`: it goes with it."""
+    return carried_box_compiled(body, before.state.x, box)

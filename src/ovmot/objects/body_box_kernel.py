@@ -31,7 +31,9 @@ class Heading(NamedTuple):
 class Box(NamedTuple):
     """Centre (3,) in world, yaw, size (3,): length, width, height, and standard deviations (3,).
 
-    `hull_centre`, `hull_size` (3,): of what was seen of the body, along the same axes.
+    `hull_centre`, `hull_size` (3,): of what was seen of the body, along the same axes. `velocity`
+    (3,): of the centre, m/s; `covariance` (6, 6) of its place and velocity, without that of the
+    size.
     """
 
     centre: FloatArray
@@ -41,6 +43,8 @@ class Box(NamedTuple):
     hull_centre: FloatArray
     hull_size: FloatArray
     is_vehicle: bool
+    velocity: FloatArray
+    covariance: FloatArray
 
 
 class Sizes(NamedTuple):
@@ -119,9 +123,9 @@ def box_of_body(
         seen = hi[a] - lo[a]
         middle[a] = 0.5 * (lo[a] + hi[a])
         size[a] = max(seen, least[a], sizes.least)
-        if vehicle and a < 2 and size[a] < usual[a]:
-            if not heading.shown[a] or size[a] < _WHOLE * usual[a]:
-                size[a], std[a] = usual[a], sizes.unseen_share * usual[a]
+        is_unseen = a < 2 and not (heading.shown[a] and size[a] >= _WHOLE * usual[a])
+        if vehicle and is_unseen and size[a] < usual[a]:
+            size[a], std[a] = usual[a], sizes.unseen_share * usual[a]
         size[a] = min(size[a], sizes.greatest[a])
         # the nearer face stays
         local[a] = lo[a] + 0.5 * size[a] if eye[a] < middle[a] else hi[a] - 0.5 * size[a]
@@ -131,7 +135,28 @@ def box_of_body(
         out[0] = x[0] + c * place[0] - s * place[1]
         out[1] = x[1] + s * place[0] + c * place[1]
         out[2] = x[2] + place[2]
-    return Box(centre, x[3] + heading.angle, size, std, hull_centre, hi - lo, vehicle)
+    velocity, covariance = motion_of(body, centre)
+    return Box(
+        centre, x[3] + heading.angle, size, std, hull_centre, hi - lo, vehicle, velocity, covariance
+    )  # fmt: skip
+
+
+@part
+def motion_of(body: Body, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocity (3,) of a point (3,) of the body, and the covariance (6, 6) of place and velocity.
+
+    With r from the body's place to it: v + ω x r, and its place turns about that of the body.
+    """
+    x, P = body.state.x, body.state.P
+    rx, ry = point[0] - x[0], point[1] - x[1]
+    own, turn, by = (0, 1, 2, 4, 5, 6), (3, 3, 3, 7, 7, 7), (-ry, rx, 0.0, -ry, rx, 0.0)
+    velocity, C = np.empty(3), np.empty((6, 6))
+    velocity[0], velocity[1], velocity[2] = x[4] - x[7] * ry, x[5] + x[7] * rx, x[6]
+    for a in range(6):
+        for b in range(6):
+            C[a, b] = P[own[a], own[b]] + by[b] * P[own[a], turn[b]]
+            C[a, b] += by[a] * (P[turn[a], own[b]] + by[b] * P[turn[a], turn[b]])
+    return velocity, C
 
 
 @part
@@ -143,7 +168,7 @@ def hull_of(body: Body, angle: float, gap: float, lo: FloatArray, hi: FloatArray
     for least in (_TRUSTED, 0):  # those seen more than once, if there are enough
         n = 0
         for k in range(len(m.f)):
-            if m.outline[k] and m.count[k] >= least:
+            if m.outline[k] and m.n_seen[k] >= least:
                 own[n] = k
                 n += 1
         if n >= 3:
@@ -187,16 +212,19 @@ def near_the_median(x: FloatArray, sigma: FloatArray, gap: float) -> BoolArray:
     return out
 
 
-def steadied(
-    new: Box, old: Box, place: FloatArray, place_before: FloatArray, gain: float
-) -> Box:
-    """A box that changes slowly in the body's frame from the `old` one to the `new`, by a gain.
+_box_of_body = part(box_of_body)
 
-    `place`, `place_before` (4,): of the body and its yaw, now and then.
-    """
-    c, s = math.cos(place_before[3]), math.sin(place_before[3])
-    dx, dy = old.centre[0] - place_before[0], old.centre[1] - place_before[1]
-    x, y, z = c * dx + s * dy, c * dy - s * dx, old.centre[2] - place_before[2]
+
+def steady_box(
+    body: Body, before: FloatArray, heading: Heading, old: Box, least: FloatArray,
+    camera: FloatArray, gain: float, gap: float, sizes: Sizes,
+) -> Box:  # fmt: skip
+    """The box of a body as `box_of_body` has it, but that it changes slowly in the body's frame, by
+    a gain, from the `old` one, of when its frame was at `before` (4,): place and yaw."""
+    new, place = _box_of_body(body, heading, least, camera, gap, sizes), body.state.x
+    c, s = math.cos(before[3]), math.sin(before[3])
+    dx, dy = old.centre[0] - before[0], old.centre[1] - before[1]
+    x, y, z = c * dx + s * dy, c * dy - s * dx, old.centre[2] - before[2]
     c, s = math.cos(place[3]), math.sin(place[3])
     dx, dy = new.centre[0] - place[0], new.centre[1] - place[1]
     x += gain * (c * dx + s * dy - x)
@@ -206,23 +234,28 @@ def steadied(
     centre[0], centre[1] = place[0] + c * x - s * y, place[1] + s * x + c * y
     centre[2] = place[2] + z
     size = old.size + gain * (new.size - old.size)
+    velocity, covariance = motion_of(body, centre)
     return Box(
-        centre, new.yaw, size, new.std_size, new.hull_centre, new.hull_size, new.is_vehicle
+        centre, new.yaw, size, new.std_size, new.hull_centre, new.hull_size, new.is_vehicle,
+        velocity, covariance,
     )  # fmt: skip
 
 
-def steady_box(
-    body: Body, before: FloatArray, heading: Heading, old: Box, least: FloatArray,
-    camera: FloatArray, gain: float, gap: float, sizes: Sizes,
-) -> Box:  # fmt: skip
-    """The box of a body as `box_of_body` has it, steadied against the `old` one, of when its frame
-    was at `before` (4,): place and yaw."""
-    new = _box_of_body(body, heading, least, camera, gap, sizes)
-    return _steadied(new, old, body.state.x, before, gain)
+def carried_box(body: Body, before: FloatArray, box: Box) -> Box:
+    """The box of a body that was not seen since its place was `before` (3,): it goes with it."""
+    centre, hull_centre = box.centre.copy(), box.hull_centre.copy()
+    for a in range(3):
+        centre[a] += body.state.x[a] - before[a]
+        hull_centre[a] += body.state.x[a] - before[a]
+    velocity, covariance = motion_of(body, centre)
+    return Box(
+        centre, box.yaw, box.size, box.std_size, hull_centre, box.hull_size, box.is_vehicle,
+        velocity, covariance,
+    )  # fmt: skip
 
 
-_box_of_body, _steadied = part(box_of_body), part(steadied)
 _FOLDER = code_folder(Path(__file__))
 turned_heading_compiled = compiled(turned_heading, _FOLDER)
 box_of_body_compiled = compiled(box_of_body, _FOLDER)
 steady_box_compiled = compiled(steady_box, _FOLDER)
+carried_box_compiled = compiled(carried_box, _FOLDER)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.objects.body_kernel import N_BODY, BodyState
+from ovmot.objects.body_kernel import BodyState
 from ovmot.objects.body_step_kernel import (
     Body,
     FeatureMap,
@@ -26,6 +26,7 @@ from ovmot.objects.body_step_kernel import (
 _POSE = (0, 1, 2, 3, 10)  # p, ψ and β: what a feature's place hangs on at its birth
 
 
+@part
 def join_map(body: Body, frame: FrameViews, feature_id: IntArray, outline: bool) -> Body:
     """The body with further features (k,) of a frame, by their stereo places, in its map; its
     `outline` goes around them, or not."""
@@ -44,7 +45,7 @@ def join_map(body: Body, frame: FrameViews, feature_id: IntArray, outline: bool)
         )
     grown = FeatureMap(
         np.concatenate((m.feature_id, ids)), np.concatenate((m.f, f)), np.concatenate((m.cov, C)),
-        np.concatenate((m.count, np.ones(n, np.int64))),
+        np.concatenate((m.n_seen, np.ones(n, np.int64))),
         np.concatenate((m.failures, np.zeros(n, np.int64))),
         np.concatenate((m.followed, np.ones(n, np.bool_))),
         np.concatenate((m.outline, np.full(n, outline))),
@@ -52,6 +53,7 @@ def join_map(body: Body, frame: FrameViews, feature_id: IntArray, outline: bool)
     return with_map(body, grown)
 
 
+@part
 def leave_body(body: Body, feature_id: IntArray) -> Body:
     """The body without some features (k,), in its map and in its state."""
     kept = rows_of_ids(body.map.feature_id, feature_id) < 0
@@ -59,6 +61,7 @@ def leave_body(body: Body, feature_id: IntArray) -> Body:
     return with_state_of(with_map(body, chosen(body.map, kept)), in_state)
 
 
+@part
 def fill_state(body: Body, frame: FrameViews, most: int) -> Body:
     """The body with followed features of its map in the state, up to so many.
 
@@ -118,9 +121,7 @@ def into_state(body: Body, frame: FrameViews, ids: IntArray, at: IntArray) -> Bo
 
 
 @part
-def place_by_pose(
-    x: FloatArray, frame: FrameViews, row: int, f: FloatArray, J: FloatArray
-) -> None:
+def place_by_pose(x: FloatArray, frame: FrameViews, row: int, f: FloatArray, J: FloatArray) -> None:
     """The place f (3,) of a row of the frame in the body of state x (11,), and its derivative J
     (3, 5) by p, ψ and the matches' common error."""
     c, s, T = math.cos(x[3]), math.sin(x[3]), frame.T_world_cam0
@@ -137,7 +138,16 @@ def place_by_pose(
         f[a] += x[10] * J[a, 4]
 
 
+def exchange_members(
+    body: Body, frame: FrameViews, leaves: IntArray, joins: IntArray, outline: bool, most: int
+) -> Body:
+    """The body without and with some features of a frame, and with up to so many in its state."""
+    if len(leaves) > 0:
+        body = leave_body(body, leaves)
+    if len(joins) > 0:
+        body = join_map(body, frame, joins, outline)
+    return fill_state(body, frame, most)
+
+
 _FOLDER = code_folder(Path(__file__))
-join_map_compiled = compiled(join_map, _FOLDER)
-leave_body_compiled = compiled(leave_body, _FOLDER)
-fill_state_compiled = compiled(fill_state, _FOLDER)
+exchange_members_compiled = compiled(exchange_members, _FOLDER)

@@ -38,7 +38,7 @@ class FeatureMap(NamedTuple):
     feature_id: IntArray
     f: FloatArray
     cov: FloatArray
-    count: IntArray
+    n_seen: IntArray
     failures: IntArray
     followed: BoolArray
     outline: BoolArray
@@ -153,7 +153,7 @@ def with_map(body: Body, new: FeatureMap) -> Body:
 def chosen(m: FeatureMap, kept: BoolArray) -> FeatureMap:
     """The features of a mask (m,)."""
     return FeatureMap(
-        m.feature_id[kept], m.f[kept], m.cov[kept], m.count[kept], m.failures[kept],
+        m.feature_id[kept], m.f[kept], m.cov[kept], m.n_seen[kept], m.failures[kept],
         m.followed[kept], m.outline[kept],
     )  # fmt: skip
 
@@ -204,7 +204,7 @@ def corrected(body: Body, T_new_old: FloatArray) -> Body:
                     tilt[a, b] += now[c, a] * C[c, d] * before[d, b]
     m = body.map
     places = FeatureMap(
-        m.feature_id, tilted(m.f, tilt), m.cov, m.count, m.failures, m.followed, m.outline
+        m.feature_id, tilted(m.f, tilt), m.cov, m.n_seen, m.failures, m.followed, m.outline
     )
     return Body(
         body.timestamp_ns, BodyState(moved, tilted(body.state.f, tilt), body.state.P),
@@ -236,7 +236,7 @@ def updated_map(body: Body, frame: FrameViews, status: IntArray, bound: float) -
     m, x = body.map, body.state.x
     at = rows_of_ids(m.feature_id, frame.feature_id)
     row = rows_of_ids(m.feature_id, body.feature_id)
-    f, cov, count, failures = m.f.copy(), m.cov.copy(), m.count.copy(), m.failures.copy()
+    f, cov, n_seen, failures = m.f.copy(), m.cov.copy(), m.n_seen.copy(), m.failures.copy()
     followed, p, C = m.followed.copy(), np.empty(3), np.empty((3, 3))
     for k in range(len(at)):
         followed[k] = m.followed[k] and at[k] >= 0
@@ -247,13 +247,13 @@ def updated_map(body: Body, frame: FrameViews, status: IntArray, bound: float) -
                 for b in range(3):
                     cov[k, a, b] = body.state.P[first + a, first + b]
             failures[k] = body.failures[i]
-            count[k] += status[i] == STEREO
+            n_seen[k] += status[i] == STEREO
         elif followed[k] and math.isfinite(frame.p_world[at[k], 0]):
             in_frame_of(x, body.state.P, frame.p_world[at[k]], frame.cov_world[at[k]], p, C)
             fits = update_place(f[k], cov[k], p, C, bound)
-            count[k] += fits
+            n_seen[k] += fits
             failures[k] = 0 if fits else failures[k] + 1
-    return FeatureMap(m.feature_id, f, cov, count, failures, followed, m.outline)
+    return FeatureMap(m.feature_id, f, cov, n_seen, failures, followed, m.outline)
 
 
 @part

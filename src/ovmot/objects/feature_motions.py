@@ -11,17 +11,11 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import positions
-from ovmot.objects.features_kernel import (
-    distances_of_velocities_compiled,
-    feature_motions_compiled,
-)
-from ovmot.physics import ACCEL_SIGMA_MPS2, gate
+from ovmot.objects.features_kernel import feature_motions_compiled
+from ovmot.physics import ACCEL_SIGMA_MPS2
 from ovmot.types import ScenePoints
 
 _MEMORY_S = 0.8
-SPEED_SPREAD = 0.2
-"""m/s by which features of one body may differ."""
-_LEAST_REACH_MPS, _SPEED_REACH = 1.0, 0.3  # how far off a joining feature's velocity may be
 CLEARLY = 2.0 * log(100.0)
 """Difference of squared Mahalanobis distances of which one motion is a hundred times likelier."""
 
@@ -101,31 +95,3 @@ class FeatureHistory:
         free[self._rows] = False
         self._stamps = np.append(self._stamps, timestamp_ns)
         self._rows = np.append(self._rows, np.argmax(free))
-
-
-def moving_with(
-    motions: FeatureMotions, candidate: BoolArray, velocity: FloatArray, velocity_cov: FloatArray
-) -> BoolArray:
-    """Which of the `candidate` features (N,) have the velocity of a body, and are not at rest.
-
-    `velocity` (3,) of the body with its covariance (3, 3).
-    """
-    from_rest, from_body, off = distances_from_rest_and_body(
-        motions, candidate, velocity, velocity_cov
-    )
-    # within the covariance of a body that is hardly known, everything around it would pass
-    reach = max(_LEAST_REACH_MPS, _SPEED_REACH * float(np.linalg.norm(velocity)))
-    same = (from_body < gate(3, 0.99)) & (off < reach)
-    return np.asarray(same & (from_rest > from_body + CLEARLY))
-
-
-def distances_from_rest_and_body(
-    motions: FeatureMotions, chosen: BoolArray, velocity: FloatArray, velocity_cov: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Squared Mahalanobis distances (N,) of the `chosen` features' velocities from rest and from a
-    body's velocity (3,) with its covariance (3, 3), and the distance from it in m/s; infinite for
-    the others and where a feature's velocity is not known."""
-    return distances_of_velocities_compiled(
-        motions.velocity, motions.velocity_cov, chosen, np.ascontiguousarray(velocity),
-        np.ascontiguousarray(velocity_cov), SPEED_SPREAD,
-    )  # fmt: skip

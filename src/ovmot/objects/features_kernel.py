@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, inlined_part
+from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import squared_mahalanobis
 from ovmot.kernels.stereo import transform
 
@@ -81,71 +81,44 @@ def rotate_covariance(T: FloatArray, C: FloatArray, out: FloatArray) -> None:
             out[a, b] = x * T[b, 0] + y * T[b, 1] + z * T[b, 2]
 
 
-def distances_of_velocities(
-    velocity: FloatArray,
-    velocity_cov: FloatArray,
-    chosen: BoolArray,
-    of_body: FloatArray,
-    of_body_cov: FloatArray,
+@part
+def distance_of_velocity(
+    velocity: FloatArray, covariance: FloatArray, of_body: FloatArray, of_body_cov: FloatArray,
     spread_mps: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Squared Mahalanobis distances (N,) of features' velocities from rest and from a body's.
+) -> tuple[float, float, float]:  # fmt: skip
+    """Squared Mahalanobis distances of a feature's velocity (3,) from rest and from a body's, each
+    with covariance (3, 3), and how far it is from the body's in m/s; infinite if not finite.
 
-    Also how far from it they are, m/s; infinite for features that are not `chosen` (N,) or have no
-    velocity. `velocity` (N, 3), with covariance (N, 3, 3), those of one body differ by `spread_mps`
-    more; the body's (3,), with its covariance (3, 3).
+    Velocities of one body differ by `spread_mps` more.
     """
-    n_features = len(velocity)
-    from_rest, from_body = np.full(n_features, np.inf), np.full(n_features, np.inf)
-    off, C, dv = np.full(n_features, np.inf), np.empty((3, 3)), np.empty(3)
-    for n in range(n_features):
-        if not (chosen[n] and math.isfinite(velocity[n, 0])):
-            continue
-        for a in range(3):
-            dv[a] = velocity[n, a]
-            for b in range(3):
-                C[a, b] = velocity_cov[n, a, b] + (spread_mps**2 if a == b else 0.0)
-        from_rest[n] = squared_mahalanobis(dv, C)
-        for a in range(3):
-            dv[a] -= of_body[a]
-            for b in range(3):
-                C[a, b] += of_body_cov[a, b]
-        from_body[n] = squared_mahalanobis(dv, C)
-        off[n] = math.sqrt(dv[0] ** 2 + dv[1] ** 2 + dv[2] ** 2)
-    return from_rest, from_body, off
+    if not math.isfinite(velocity[0]):
+        return math.inf, math.inf, math.inf
+    C, dv = np.empty((3, 3)), np.empty(3)
+    for a in range(3):
+        dv[a] = velocity[a]
+        for b in range(3):
+            C[a, b] = covariance[a, b] + (spread_mps**2 if a == b else 0.0)
+    from_rest = squared_mahalanobis(dv, C)
+    for a in range(3):
+        dv[a] -= of_body[a]
+        for b in range(3):
+            C[a, b] += of_body_cov[a, b]
+    off = math.sqrt(dv[0] ** 2 + dv[1] ** 2 + dv[2] ** 2)
+    return from_rest, squared_mahalanobis(dv, C), off
 
 
-def points_near_boxes(
-    p: FloatArray,
-    cov: FloatArray,
-    centre: FloatArray,
-    size: FloatArray,
-    yaw: FloatArray,
-    variance: FloatArray,
-    margin_m: float,
-    sigmas: float,
-) -> BoolArray:
-    """Which points (N, 3), with covariance (N, 3, 3), are in or near boxes: (T, N).
-
-    Boxes have a centre (T, 3), size (T, 3) and heading `yaw` (T,) about z. A point is near when it
-    is nearer than the margin and some sigmas of its own variance and that of the box, `variance`
-    (T,).
-    """
-    near = np.zeros((len(centre), len(p)), np.bool_)
-    for t in range(len(centre)):
-        c, s = math.cos(yaw[t]), math.sin(yaw[t])
-        for n in range(len(p)):
-            x, y, z = p[n, 0] - centre[t, 0], p[n, 1] - centre[t, 1], p[n, 2] - centre[t, 2]
-            along = max(abs(c * x + s * y) - 0.5 * size[t, 0], 0.0)
-            across = max(abs(c * y - s * x) - 0.5 * size[t, 1], 0.0)
-            above = max(abs(z) - 0.5 * size[t, 2], 0.0)
-            sigma = math.sqrt(cov[n, 0, 0] + cov[n, 1, 1] + cov[n, 2, 2] + variance[t])
-            distance = math.sqrt(along**2 + across**2 + above**2)
-            near[t, n] = math.isfinite(x) and distance < margin_m + sigmas * sigma
-    return near
+@part
+def distance_from_box(p: FloatArray, centre: FloatArray, size: FloatArray, yaw: float) -> float:
+    """How far a point (3,) is from a box with a centre (3,), size (3,) and heading; 0 inside."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    x, y, z = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+    along = max(abs(c * x + s * y) - 0.5 * size[0], 0.0)
+    across = max(abs(c * y - s * x) - 0.5 * size[1], 0.0)
+    above = max(abs(z) - 0.5 * size[2], 0.0)
+    if not math.isfinite(x + y + z):
+        return math.inf
+    return math.sqrt(along**2 + across**2 + above**2)
 
 
 _FOLDER = code_folder(Path(__file__))
 feature_motions_compiled = compiled(feature_motions, _FOLDER)
-distances_of_velocities_compiled = compiled(distances_of_velocities, _FOLDER)
-points_near_boxes_compiled = compiled(points_near_boxes, _FOLDER)

@@ -108,7 +108,7 @@ class MovingObjects:
         tracks, points = tracker.step(frame, measurements, points, new_body)
         self._speeds, tracks = classified(self._speeds, tracks, now_ns)
         held = held_features(points, self._settings.max_excluded_share)
-        moving, velocity = tracker.predicted_velocities(points)
+        moving, velocity = tracker.predicted_velocities()
         uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)
         return ObjectsResult(
             tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px

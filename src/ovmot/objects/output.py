@@ -3,12 +3,12 @@
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.so3 import rotation_z
 from ovmot.objects.body_box_kernel import Box
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_box import image_box, is_in_view
-from ovmot.types import ObjectTrack, ScenePoints
+from ovmot.types import ObjectTrack
 
 _MISSED_S = 0.15  # missed for no longer than this, a confirmed track is still called confirmed
 _KNOWN_S, _KNOWN_SIGMA_M = 0.5, 0.5  # and for longer while its place in view is known to this
@@ -17,17 +17,15 @@ _KNOWN_S, _KNOWN_SIGMA_M = 0.5, 0.5  # and for longer while its place in view is
 def to_object_track(
     track: Track,
     now_ns: int,
-    points: ScenePoints,
-    track_id: IntArray,
+    uv: FloatArray,
     T_world_cam0: FloatArray,
     rig: StereoRig,
 ) -> ObjectTrack:
-    """A track's state, box and standard deviations; `track_id` (N,): of the `points`, -1 for none.
+    """A track's state, box and standard deviations; `uv` (n, 2): its points in the left image.
 
     World axes, SI; the image box in left pixels.
     """
     variance = np.maximum(np.diag(track.covariance), 0.0)
-    own = track_id == track.track_id
     return ObjectTrack(
         track_id=track.track_id,
         state=_output_state(track, now_ns, T_world_cam0, rig).value,
@@ -36,8 +34,8 @@ def to_object_track(
         yaw=track.yaw,
         yaw_rate=float(track.body.state.x[7]),
         size=track.size,
-        box_px=image_box(track, points.pixels[own, :2], T_world_cam0, rig),
-        n_points=int(own.sum()),
+        box_px=image_box(track, uv, T_world_cam0, rig),
+        n_points=len(uv),
         std_position=np.sqrt(variance[:3] + _centre_variance(track.box)),
         std_velocity=np.sqrt(variance[3:6]),
         std_size=track.box.std_size,

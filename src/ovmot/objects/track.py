@@ -7,8 +7,8 @@ from enum import StrEnum
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.body import advance, with_filled_state, with_members
-from ovmot.objects.body_box import box_of, new_heading, steady_box, updated_heading
+from ovmot.objects.body import advance, with_members
+from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box, updated_heading
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
@@ -66,29 +66,17 @@ class Track:
     @property
     def velocity(self) -> FloatArray:
         """Velocity (3,) of the box's centre in world, m/s."""
-        x, r = self.body.state.x, self._lever
-        return np.array([x[4] - x[7] * r[1], x[5] + x[7] * r[0], x[6]])
-
-    @property
-    def _lever(self) -> FloatArray:
-        """From the body's place to the centre of its box (3,)."""
-        return self.box.centre - self.body.state.x[:3]
+        return self.box.velocity
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance (6, 6) of position and velocity, without that of the box."""
-        r = self._lever
-        J = np.zeros((6, 8))
-        J[:3, :3] = J[3:, 4:7] = np.eye(3)
-        J[0, 3], J[1, 3] = -r[1], r[0]
-        J[3, 7], J[4, 7] = -r[1], r[0]
-        P: FloatArray = J @ self.body.state.P[:8, :8] @ J.T
-        return P
+        return self.box.covariance
 
     @property
     def velocity_cov(self) -> FloatArray:
         """Covariance (3, 3) of the velocity."""
-        return self.covariance[3:, 3:]
+        return self.box.covariance[3:, 3:]
 
     @property
     def size(self) -> FloatArray:
@@ -162,10 +150,7 @@ def advance_track(track: Track, frame: FrameViews) -> Track:
 
 def _unseen(track: Track, body: Body) -> Track:
     """A track whose body was predicted only; its box goes with it."""
-    moved = body.state.x[:3] - track.body.state.x[:3]
-    box = track.box._replace(
-        centre=track.box.centre + moved, hull_centre=track.box.hull_centre + moved
-    )
+    box = carried_box(body, track.body, track.box)
     state = track.state if track.state == TrackState.TENTATIVE else TrackState.COASTING
     return replace(track, body=body, state=state, box=box)
 
@@ -220,11 +205,6 @@ def found_again(track: Track, body: Body, frame: FrameViews) -> Track:
     heading = updated_heading(heading, body, body.state.x[:3], camera, 0.1)
     found = replace(track, body=body, heading=heading, least_size=track.box.size)
     return with_box(found, frame)
-
-
-def filled_track(track: Track, frame: FrameViews) -> Track:
-    """The track with as many features in its state as have room."""
-    return replace(track, body=with_filled_state(track.body, frame))
 
 
 def horizontal_variance(track: Track) -> float:

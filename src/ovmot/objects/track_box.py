@@ -1,35 +1,11 @@
-"""The box of a track: which features lie in it, its box in the image, its distance to others."""
-
-from collections.abc import Sequence
+"""The box of a track in the image."""
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import BoolArray, FloatArray
-from ovmot.objects.features_kernel import points_near_boxes_compiled
-from ovmot.objects.track import Track, horizontal_variance
-
-_MARGIN_M = 0.5  # beyond the points seen so far: a body is larger than what was seen of it
-_SIGMAS = 2.0  # of the feature's and the track's position
-
-
-def points_in_boxes(
-    tracks: Sequence[Track], p_world: FloatArray, position_cov: FloatArray
-) -> BoolArray:
-    """Which points (N, 3), with covariance (N, 3, 3), may lie in or near tracks' boxes: (T, N)."""
-    if not tracks:
-        return np.zeros((0, len(p_world)), dtype=np.bool_)
-    return points_near_boxes_compiled(
-        p_world,
-        position_cov,
-        np.array([t.box.hull_centre for t in tracks]),
-        np.array([t.box.hull_size for t in tracks]),
-        np.array([t.yaw for t in tracks]),
-        np.array([2.0 * horizontal_variance(t) for t in tracks]),
-        _MARGIN_M,
-        _SIGMAS,
-    )
+from ovmot.geometry.arrays import FloatArray
+from ovmot.objects.track import Track
 
 
 def is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:

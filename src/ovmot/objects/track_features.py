@@ -1,0 +1,174 @@
+"""Which features the tracks hold, which join them and which leave them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.kernels.table_kernel import columns_of_compiled
+from ovmot.objects.body import exchange_members, with_members
+from ovmot.objects.body_box import gap_of
+from ovmot.objects.body_step_kernel import FrameViews
+from ovmot.objects.feature_motions import CLEARLY, FeatureMotions
+from ovmot.objects.merging import BESIDE_NS
+from ovmot.objects.track import LEAST_SEEN, Track, TrackState, horizontal_variance
+from ovmot.objects.track_features_kernel import (
+    Hulls,
+    Limits,
+    Moving,
+    joining_and_leaving_compiled,
+    members_of_compiled,
+    near_hulls_compiled,
+    nearest_of_compiled,
+    recovering_compiled,
+)
+from ovmot.physics import MAX_VEHICLE_SIZE_M, gate
+
+LIMITS = Limits(
+    margin_m=0.5,  # a body is larger than what was seen of it
+    sigmas=2.0,
+    spread_mps=0.2,
+    same=gate(3, 0.99),
+    least_mps=1.0,
+    share=0.3,
+    clearly=CLEARLY,
+)
+
+
+def hulls_of(tracks: Sequence[Track]) -> Hulls:
+    """Those of T tracks."""
+    T, boxes = len(tracks), [t.box for t in tracks]
+    return Hulls(
+        np.array([box.hull_centre for box in boxes]).reshape(T, 3),
+        np.array([box.hull_size for box in boxes]).reshape(T, 3),
+        np.array([box.yaw for box in boxes], np.float64),
+        np.array([2.0 * horizontal_variance(t) for t in tracks], np.float64),
+        np.array([box.velocity for box in boxes]).reshape(T, 3),
+        np.array([box.covariance[3:, 3:] for box in boxes]).reshape(T, 3, 3),
+    )
+
+
+def moving_of(motions: FeatureMotions) -> Moving:
+    """Places and velocities of N features."""
+    return Moving(
+        motions.p_world, motions.position_cov, motions.velocity, motions.velocity_cov
+    )  # fmt: skip
+
+
+def members(tracks: Sequence[Track], feature_id: IntArray) -> BoolArray:
+    """Which features (N,) each track holds (T, N)."""
+    if not tracks:
+        return np.zeros((0, len(feature_id)), np.bool_)
+    held = [t.feature_id for t in tracks]
+    first = np.zeros(len(held) + 1, np.int64)
+    np.cumsum([len(ids) for ids in held], out=first[1:])
+    return members_of_compiled(np.concatenate(held), first, feature_id)
+
+
+def owners(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
+    """The row of the track that holds each feature (N,); -1 for none. Coasting tracks hold none."""
+    if not tracks:
+        return np.full(len(feature_id), -1, np.int64)
+    rows = np.arange(len(tracks))
+    coasting = np.array([t.state == TrackState.COASTING for t in tracks])
+    held = np.where(members(tracks, feature_id) & ~coasting[:, None], rows[:, None], -1)
+    return np.asarray(held.max(axis=0))
+
+
+def track_ids(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
+    """The track that holds each feature (N,), by id; -1 for none. Coasting tracks hold none."""
+    ids = np.array([*(t.track_id for t in tracks), -1], np.int64)
+    return ids[owners(tracks, feature_id)]
+
+
+def near_boxes(tracks: Sequence[Track], motions: FeatureMotions) -> BoolArray:
+    """Which features (N,) may lie in or near tracks' boxes: (T, N)."""
+    return near_hulls_compiled(hulls_of(tracks), moving_of(motions), LIMITS)
+
+
+def own_features(
+    tracks: Sequence[Track], hulls: Hulls, i: int, ids: IntArray, frame: FrameViews
+) -> IntArray:
+    """Those of the features (k,) that may be of track i's body, and are no nearer to another one.
+
+    With each of them its hull must be no larger than vehicles are, nor have a greater gap.
+    """
+    at = columns_of_compiled(ids, frame.feature_id)
+    p, C = frame.p_world[at], frame.cov_world[at]
+    sigma = np.sqrt(np.einsum("nii->n", C))
+    rivals = np.array([t.state == TrackState.CONFIRMED for t in tracks])
+    gap, greatest = gap_of(tracks[i].box), np.array(MAX_VEHICLE_SIZE_M)
+    return ids[nearest_of_compiled(i, p, sigma, hulls, rivals, gap, greatest)]
+
+
+def recovered(tracks: Sequence[Track], motions: FeatureMotions, frame: FrameViews) -> list[Track]:
+    """The tracks, those that were lost with the features in their boxes that move as they do, if
+    there are enough."""
+    lost = np.array([t.state == TrackState.COASTING for t in tracks], np.bool_)
+    if not lost.any():
+        return list(tracks)
+    hulls, moving = hulls_of(tracks), moving_of(motions)
+    in_box = near_hulls_compiled(hulls, moving, LIMITS)
+    candidate = recovery_candidates(tracks, in_box, owners(tracks, motions.feature_id))
+    own = recovering_compiled(candidate & lost[:, None], hulls, moving, LIMITS)
+    out = list(tracks)
+    for k in np.flatnonzero(own.sum(1) >= LEAST_SEEN).tolist():
+        body = with_members(out[k].body, frame, motions.feature_id[own[k]])
+        out[k] = replace(
+            out[k], body=body, state=TrackState.CONFIRMED, updated_ns=frame.timestamp_ns
+        )
+    return out
+
+
+def recovery_candidates(tracks: Sequence[Track], in_box: BoolArray, owner: IntArray) -> BoolArray:
+    """Features (T, N) by which each track may be found again.
+
+    Those in its box, `in_box` (T, N), that no other track, a row `owner` (N,), holds, and that are
+    not in the box of a body that was seen beside it.
+    """
+    in_view = np.array([t.state == TrackState.CONFIRMED for t in tracks], dtype=np.bool_)
+    born = np.array([t.born_ns for t in tracks], dtype=np.int64)
+    updated = np.array([t.updated_ns for t in tracks], dtype=np.int64)
+    beside = in_view & (born + BESIDE_NS < updated[:, None])
+    np.fill_diagonal(beside, False)
+    rows = np.arange(len(tracks))[:, None]
+    candidate: BoolArray = in_box & ~(beside @ in_box) & ((owner < 0) | (owner == rows))
+    return candidate
+
+
+def with_exchanged_features(
+    tracks: Sequence[Track], motions: FeatureMotions, frame: FrameViews
+) -> list[Track]:
+    """The tracks with the features that they hold now, as many in their states as have room.
+
+    Free features in a track's box that move as it does and do not rest join it; those that clearly
+    rest leave it: they lie behind it. Of two tracks the older one keeps a common feature.
+    """
+    if not tracks:
+        return []
+    joins, leaves = joining_and_leaving_compiled(
+        members(tracks, motions.feature_id), hulls_of(tracks), moving_of(motions),
+        np.array([t.state == TrackState.CONFIRMED for t in tracks]),
+        np.array([t.state == TrackState.COASTING for t in tracks]), LIMITS,
+    )  # fmt: skip
+    ids = motions.feature_id
+    return [
+        replace(track, body=exchange_members(track.body, frame, ids[leaves[k]], ids[joins[k]]))
+        for k, track in enumerate(tracks)
+    ]
+
+
+def velocities_of_members(
+    tracks: Sequence[Track], motions: FeatureMotions
+) -> tuple[IntArray, FloatArray]:
+    """Features (K,) that move on with a track, ids and velocity (K, 3) in world: those that it
+    holds, and those near it whose motion is not known."""
+    if not tracks:
+        return np.empty(0, np.int64), np.empty((0, 3))
+    with_track = members(tracks, motions.feature_id)
+    with_track |= near_boxes(tracks, motions) & ~motions.known
+    row = np.where(with_track, np.arange(len(tracks))[:, None], -1).max(axis=0)
+    known = row >= 0
+    velocity = np.array([t.box.velocity for t in tracks])
+    return motions.feature_id[known], velocity[row[known]]
