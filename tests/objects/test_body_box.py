@@ -6,10 +6,7 @@ from object_fixtures import CAR_M, make_body
 
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects.body_box import (
-    GAP_M,
     box_of,
-    distance_to_hull,
-    may_belong,
     new_heading,
     updated_heading,
 )
@@ -90,11 +87,3 @@ def test_the_heading_is_the_direction_of_the_velocity_and_stays_at_rest() -> Non
     assert updated_heading(heading, stands, NOTHING, CAMERA, 0.1).angle == heading.angle
     aside = updated_heading(heading, body, np.array([0.0, 40.0, 0.0]), CAMERA, 0.1)
     assert aside.shown.all()
-
-
-def test_a_point_belongs_if_a_vehicle_can_reach_to_it() -> None:
-    box = box_of(make_body(), SEEN, NOTHING, CAMERA)
-    end = 0.5 * CAR_M[0]
-    p = np.array([[end + GAP_M - 0.1, 0.0, 0.0], [end + GAP_M + 0.1, 0.0, 0.0], [0.0, 2.5, 0.0]])
-    assert may_belong(box, p, np.zeros(3)).tolist() == [True, False, False]
-    np.testing.assert_allclose(distance_to_hull(box, p), [2.4, 2.6, 2.5 - 0.95], atol=1e-3)

@@ -1,16 +1,11 @@
-"""Motions of features by their positions at earlier times, and which have a body's velocity."""
+"""Motions of features by their positions at earlier times."""
 
 import numpy as np
-from object_fixtures import FRAME_NS, T_WORLD_CAM0, feature_motions, scene_points
+from object_fixtures import FRAME_NS, T_WORLD_CAM0, scene_points
 
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.objects.feature_motions import (
-    FeatureHistory,
-    FeatureMotions,
-    distances_from_rest_and_body,
-    moving_with,
-)
+from ovmot.objects.feature_motions import FeatureHistory, FeatureMotions
 from ovmot.types import ScenePoints
 
 
@@ -48,23 +43,3 @@ def test_what_is_too_old_is_dropped() -> None:
     history.add(0, seen_at(p_world, [4]), T_WORLD_CAM0)
     late = history.add(10 * FRAME_NS, seen_at(p_world, [4]), T_WORLD_CAM0)
     assert not late.known.any()
-
-
-def test_distances_from_rest_and_from_a_body() -> None:
-    v = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    motions = feature_motions(v, sigma=0.3)
-    both, velocity = np.ones(2, dtype=np.bool_), np.array([2.0, 0.0, 0.0])
-    rest, body, off = distances_from_rest_and_body(motions, both, velocity, 0.07 * np.eye(3))
-    np.testing.assert_allclose(off, [0.0, 2.0])
-    np.testing.assert_allclose(rest, [4.0 / 0.13, 0.0])
-    np.testing.assert_allclose(body, [0.0, 4.0 / 0.2])
-
-
-def test_features_with_a_bodys_velocity_are_found_among_those_at_rest() -> None:
-    v = np.array([[5.0, 0.2, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [9.0, 0.0, 0.0], [np.nan] * 3])
-    candidate = np.array([True, True, False, True, True])
-    found = moving_with(feature_motions(v), candidate, np.array([5.0, 0.0, 0.0]), 0.01 * np.eye(3))
-    assert found.tolist() == [True, False, False, False, False]
-    # a body that may be at rest gains none
-    slow = moving_with(feature_motions(v), candidate, np.array([0.3, 0.0, 0.0]), np.eye(3))
-    assert not slow.any()

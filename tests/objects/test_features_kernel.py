@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.so3 import rotation_z
 from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.features_kernel import (
-    distances_of_velocities,
-    distances_of_velocities_compiled,
+    distance_from_box,
+    distance_of_velocity,
     feature_motions,
     feature_motions_compiled,
-    points_near_boxes,
-    points_near_boxes_compiled,
 )
 
 N, ACCEL = 40, 1.5
@@ -61,36 +60,24 @@ def test_motions_are_since_the_best_time(motions: Callable[..., tuple[FloatArray
     np.testing.assert_allclose(velocity_cov[known], C[known], rtol=1e-9)
 
 
-@pytest.mark.parametrize("distances", [distances_of_velocities, distances_of_velocities_compiled])
-def test_distances_of_velocities(distances: Callable[..., tuple[FloatArray, ...]]) -> None:
+def test_the_distance_of_a_velocity() -> None:
     rng = np.random.default_rng(2)
     v, C = rng.normal(size=(N, 3)), covariances(rng, (N,))
-    v[7] = np.nan
-    chosen, body, P = rng.random(N) < 0.7, np.array([1.0, -0.5, 0.2]), covariances(rng, ())
-    from_rest, from_body, off = distances(v, C, chosen, body, P, 0.2)
+    body, P = np.array([1.0, -0.5, 0.2]), covariances(rng, ())
+    found = np.array([distance_of_velocity(v[n], C[n], body, P, 0.2) for n in range(N)])
     wide = C + 0.04 * np.eye(3)
-    known = chosen & np.isfinite(v[:, 0])
-    for found, expected in (
-        (from_rest, squared_distance(v, wide)),
-        (from_body, squared_distance(v - body, wide + P)),
-        (off, np.linalg.norm(v - body, axis=1)),
-    ):
-        np.testing.assert_allclose(found, np.where(known, expected, np.inf), rtol=1e-8)
+    np.testing.assert_allclose(found[:, 0], squared_distance(v, wide), rtol=1e-8)
+    np.testing.assert_allclose(found[:, 1], squared_distance(v - body, wide + P), rtol=1e-8)
+    np.testing.assert_allclose(found[:, 2], np.linalg.norm(v - body, axis=1), rtol=1e-8)
+    unknown = distance_of_velocity(np.full(3, np.nan), C[0], body, P, 0.2)
+    assert np.isinf(unknown).all()
 
 
-@pytest.mark.parametrize("near_boxes", [points_near_boxes, points_near_boxes_compiled])
-def test_points_near_boxes(near_boxes: Callable[..., BoolArray]) -> None:
+def test_the_distance_from_a_box() -> None:
     rng = np.random.default_rng(3)
-    p, cov = rng.uniform(-6.0, 6.0, (200, 3)), 0.2 * covariances(rng, (200,))
-    p[5] = np.nan
-    centre, size = rng.uniform(-2.0, 2.0, (3, 3)), rng.uniform(1.0, 5.0, (3, 3))
-    yaw, variance = rng.uniform(-3.0, 3.0, 3), rng.uniform(0.0, 0.5, 3)
-    found = near_boxes(p, cov, centre, size, yaw, variance, 0.5, 2.0)
-    for t in range(3):
-        local = (p - centre[t]) @ se3.exp(np.r_[0.0, 0.0, yaw[t], np.zeros(3)])[:3, :3]
-        outside = np.maximum(np.abs(local) - 0.5 * size[t], 0.0)
-        reach = 0.5 + 2.0 * np.sqrt(np.trace(cov, axis1=1, axis2=2) + variance[t])
-        with np.errstate(invalid="ignore"):
-            expected = np.linalg.norm(outside, axis=1) < reach
-        np.testing.assert_array_equal(found[t], expected)
-    assert 20 < found.sum() < 580
+    centre, size, yaw = rng.uniform(-2.0, 2.0, 3), rng.uniform(1.0, 5.0, 3), 0.7
+    for p in rng.uniform(-6.0, 6.0, (50, 3)):
+        outside = np.maximum(np.abs((p - centre) @ rotation_z(yaw)) - 0.5 * size, 0.0)
+        found = distance_from_box(p, centre, size, yaw)
+        assert found == pytest.approx(np.linalg.norm(outside), abs=1e-9)
+    assert np.isinf(distance_from_box(np.full(3, np.nan), centre, size, yaw))

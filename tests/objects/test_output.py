@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from object_fixtures import FRAME_NS, T_WORLD_CAM0, make_track, scene_points, small_rig
+from object_fixtures import FRAME_NS, T_WORLD_CAM0, make_track, small_rig
 
 from ovmot.objects.body_kernel import BodyState
 from ovmot.objects.output import to_object_track
@@ -13,9 +13,8 @@ from ovmot.types import ObjectTrack
 
 
 def converted(track: Track, now_ns: int = FRAME_NS) -> ObjectTrack:
-    points = scene_points([2, 2, 2], pixels=np.arange(12.0).reshape(3, 4))
-    track_id = np.array([7, -1, 7])
-    return to_object_track(track, now_ns, points, track_id, T_WORLD_CAM0, small_rig())
+    uv = np.array([[0.0, 1.0], [8.0, 9.0]])
+    return to_object_track(track, now_ns, uv, T_WORLD_CAM0, small_rig())
 
 
 def test_fields_are_those_of_the_track() -> None:

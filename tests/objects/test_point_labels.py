@@ -34,7 +34,7 @@ def motions(velocity: FloatArray, x_m: float = 0.0) -> FeatureMotions:
 def label_of(body: Track, before: Speeds = NOTHING_BEFORE, segmented: int = STATIC) -> int:
     """The label of a point that goes as its track does."""
     points = label_points(
-        FRAME_NS, seen(segmented), np.array([7]), [body], motions(body.velocity[None]), before
+        FRAME_NS, seen(segmented), np.array([0]), [body], motions(body.velocity[None]), before
     )
     return int(points.label[0])
 
@@ -75,10 +75,10 @@ def test_beside_a_body_points_rest() -> None:
     """Of a moving track's points those that clearly rest are static, those that may, unknown."""
     body = track(np.array([2.0, 0.0, 0.0]))
     v = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.0], [np.nan] * 3])
-    owner = np.full(4, 7)
+    owner = np.zeros(4, np.int64)
     points = label_points(FRAME_NS, seen(DYNAMIC, 4), owner, [body], motions(v), NOTHING_BEFORE)
     assert points.label.tolist() == [DYNAMIC, STATIC, UNKNOWN, DYNAMIC]
-    np.testing.assert_array_equal(points.track_id, owner)
+    np.testing.assert_array_equal(points.track_id, owner + 7)
 
 
 @pytest.mark.parametrize(("x_m", "label"), [(1.0, UNKNOWN), (9.0, STATIC)])
@@ -89,14 +89,14 @@ def test_where_a_body_moves_rest_must_be_seen(x_m: float, label: int) -> None:
     arguments = np.full(3, -1), [body], motions(v, x_m), NOTHING_BEFORE
     points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
     assert points.label.tolist() == [label, STATIC, STATIC]
-    standing = replace(body, body=track(np.zeros(3)).body)
+    standing = track(np.zeros(3))
     arguments = np.full(3, -1), [standing], motions(v, x_m), NOTHING_BEFORE
     points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
     assert points.label.tolist() == [STATIC] * 3
 
 
 def test_what_moves_alone_is_unknown() -> None:
-    owner: IntArray = np.array([-1, 7])
+    owner: IntArray = np.array([-1, 0])
     tentative = track(np.array([2.0, 0.0, 0.0]), state=TrackState.TENTATIVE)
     arguments = owner, [tentative], motions(np.zeros((2, 3))), NOTHING_BEFORE
     assert label_points(FRAME_NS, seen(DYNAMIC, 2), *arguments).label.tolist() == [UNKNOWN, DYNAMIC]
