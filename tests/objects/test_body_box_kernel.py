@@ -81,7 +81,7 @@ def expected_box(body: Body, heading: Heading, least: FloatArray) -> Box:
 
 def assert_same(found: Box, expected: Box) -> None:
     for name, a, b in zip(Box._fields, found, expected, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(np.asarray(a), np.asarray(b), atol=1e-9, err_msg=name)
 
 
 @pytest.mark.parametrize("shown", [(True, True), (False, True)])
@@ -102,7 +102,7 @@ def test_a_box_changes_slowly_in_the_frame_of_its_body() -> None:
     heading, least = Heading(0.3, 0.02, np.array([True, True]), True), np.zeros(3)
     new = expected_box(body, heading, least)
     before = np.array([0.2, -0.5, 11.5, 0.35])
-    old = new._replace(centre=new.centre + [0.4, -1.0, 0.2], size=1.5 * new.size)
+    old = new._replace(centre=new.centre + np.array([0.4, -1.0, 0.2]), size=1.5 * new.size)
     found = steady_box_compiled(body, before, heading, old, least, CAMERA, 0.25, GAP, SIZES)
     x, R = body.state.x, rotation_z(float(body.state.x[3]))
     offset = rotation_z(before[3]).T @ (old.centre - before[:3])

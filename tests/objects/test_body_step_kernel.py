@@ -35,7 +35,7 @@ def corrected(body: Body, T: FloatArray) -> Body:
 def updated_map(body: Body, frame: FrameViews, status: IntArray) -> FeatureMap:
     m = body.map
     at, row = rows(m.feature_id, frame.feature_id), rows(m.feature_id, body.feature_id)
-    f, cov, n_seen, failures = (a.copy() for a in (m.f, m.cov, m.n_seen, m.failures))
+    f, cov, n_seen, failures = m.f.copy(), m.cov.copy(), m.n_seen.copy(), m.failures.copy()
     followed = m.followed & (at >= 0)
     for k in range(len(at)):
         if row[k] >= 0:

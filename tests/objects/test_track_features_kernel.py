@@ -131,7 +131,7 @@ def test_labels_are_those_of_tracks_but_for_what_rests() -> None:
 
 
 def test_a_point_is_of_the_nearest_hull_that_can_reach_it() -> None:
-    hulls, moving = scene(4)
+    hulls, _ = scene(4)
     rng = np.random.default_rng(4)
     p, sigma = rng.uniform(-5.0, 5.0, (N, 3)), rng.uniform(0.0, 0.5, N)
     rivals, greatest = np.array([True, True, False, True]), np.array([5.0, 4.5, 4.0])
