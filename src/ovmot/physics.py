@@ -49,6 +49,8 @@ TURN_SPREAD_MPS = 0.5
 ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
 """Standard deviation of a road user's velocity in either level direction and upwards: 36 km/h, and
 a slope of 5 % at that speed."""
+ROAD_USER_AREA_M2 = 70.0
+"""Road with one road user on it: on a lane of 3.5 m, two seconds apart at 36 km/h."""
 MANOEUVRE_S = 2.0
 """A road user keeps its acceleration and its yaw rate for about this long: their correlation time
 (R. Singer, IEEE TAES 1970)."""

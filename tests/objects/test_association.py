@@ -8,7 +8,8 @@ from ovmot.objects.association import (
     assign,
     associate,
     common_features,
-    mahalanobis_distances,
+    innovations,
+    log_odds_of_old,
 )
 from ovmot.objects.track import DRIVES_MPS
 from ovmot.physics import CAR_SIZE_M
@@ -19,14 +20,28 @@ def test_distances_are_those_of_the_state_and_of_where_the_points_may_lie(speed:
     """A quarter of the size to either side; of what drives the other end may be seen."""
     track = make_track((5.0, 0.0, 1.0), (speed, 0.0, 0.0))
     seen = measurement((5.6, 0.2, 1.0), (speed + 0.3, 0.1, 0.0), span_s=0.4)
-    found = mahalanobis_distances([track], [seen], track.measured_ns + 200_000_000)
+    _, found = innovations([track], [seen], track.measured_ns + 200_000_000)
     R = seen.covariance.copy()
     R[:3, :3] += (0.25 * track.size[0]) ** 2 * np.eye(3)
     S = track.covariance + 2.0 * R  # of 0.4 s, in 0.2 s
     if speed > DRIVES_MPS:
         S[0, 0] += (0.25 * max(CAR_SIZE_M[0] - track.size[0], 0.0)) ** 2
-    r = np.concatenate([seen.position - track.position, seen.velocity - track.velocity])
-    assert found[0, 0] == pytest.approx(r @ np.linalg.solve(S, r), rel=1e-6)
+    np.testing.assert_allclose(found[0, 0], S, atol=1e-9)
+
+
+@pytest.mark.parametrize(("sigma_m", "likelier"), [(1.0, True), (4.0, True), (15.0, False)])
+def test_a_place_that_is_hardly_known_tells_no_old_body_from_a_new_one(
+    sigma_m: float, likelier: bool
+) -> None:
+    seen = measurement((1.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+    r = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])[None, None]
+    S = np.diag([sigma_m**2, sigma_m**2, 1.0, 6.0**2, 6.0**2, 1.0])[None, None]
+    odds = float(log_odds_of_old(r, S, [seen])[0, 0])
+    assert (odds > 0.0) is likelier
+    place = 1.0 / (2.0 * np.pi * sigma_m**2) * np.exp(-0.5 / sigma_m**2) * 70.0
+    road = 100.0 + 0.01
+    velocity = road / 36.0 * np.exp(-0.5 / 36.0 + 0.5 * 16.0 / road)
+    assert odds == pytest.approx(np.log(place * velocity))
 
 
 def test_common_features_are_a_share_of_the_smaller_set() -> None:

@@ -124,7 +124,9 @@ class Stage:
         self._past = [*past, (now_ns, points)]
         return self.tracker.step(
             frame, found, points,
-            lambda m: start_body(m.feature_id, m.velocity, history, frame, window, small_rig()),
+            lambda m, prior: start_body(
+                m.feature_id, m.velocity, history, frame, window, small_rig(), prior
+            ),
         )  # fmt: skip
 
 

@@ -12,11 +12,12 @@ from ovmot.objects.track import (
     CENTRE_SHARE,
     DRIVES_MPS,
     Track,
+    TrackState,
     centre_sigma,
     correlated_count,
     is_conclusive,
 )
-from ovmot.physics import CAR_SIZE_M, gate
+from ovmot.physics import CAR_SIZE_M, ROAD_SPEED_SIGMA_MPS, ROAD_USER_AREA_M2, gate
 
 _SHARED = 2  # common features by which a pair is possible in a wider gate
 
@@ -33,13 +34,18 @@ def associate(
     """
     if not tracks or not measurements:
         return {}
-    d = mahalanobis_distances(tracks, measurements, now_ns)
+    r, S = innovations(tracks, measurements, now_ns)
+    d = squared_distances(r, S)
     share, count = common_features(
         [t.feature_id for t in tracks], [m.feature_id for m in measurements]
     )
     # a measurement with most of its features in another track is not of this one
     half = 0.5 * np.array([len(m.feature_id) for m in measurements])
     d[(count == 0) & (count.max(0) > half)] = np.inf
+    # a lost track is found again by what is rather its own than that of a new body
+    lost = np.array([t.state == TrackState.COASTING for t in tracks])
+    if lost.any():
+        d[lost[:, None] & (count == 0) & (log_odds_of_old(r, S, measurements) < 0.0)] = np.inf
     # a track that has left the image is found again only by what would start one
     if out_of_view.any():
         inconclusive = ~np.array([is_conclusive(m) for m in measurements])
@@ -47,11 +53,11 @@ def associate(
     return dict(assign(d, share, count))
 
 
-def mahalanobis_distances(
+def innovations(
     tracks: Sequence[Track], measurements: Sequence[ObjectMeasurement], now_ns: int
-) -> FloatArray:
-    """Squared Mahalanobis distances (T, M) of measurements from predicted tracks, 6 degrees of
-    freedom.
+) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity of measurements less those of predicted tracks (T, M, 6), and their
+    covariance (T, M, 6, 6).
 
     What drives is longer than what may have been seen of it: after an occlusion its other end may
     come into view.
@@ -75,9 +81,34 @@ def mahalanobis_distances(
     S[..., :3, :3] += (hidden**2)[..., None, None] * (heading[:, :, None] * heading[:, None])[
         :, None
     ]
-    r = value - state[:, None]
-    distance: FloatArray = (r * np.linalg.solve(S, r[..., None])[..., 0]).sum(-1)
-    return distance
+    return np.asarray(value - state[:, None]), S
+
+
+def log_odds_of_old(
+    r: FloatArray, S: FloatArray, measurements: Sequence[ObjectMeasurement]
+) -> FloatArray:
+    """Logarithm (T, M) of how much likelier a measurement is of a track than of a new body.
+
+    By their densities over the level place and velocity: the innovation's (T, M, 6) with its
+    covariance (T, M, 6, 6), against road users anywhere at road users' velocities.
+    """
+    level = np.array([0, 1, 3, 4])
+    old = log_density(r[..., level], S[..., level[:, None], level])
+    v = np.array([m.velocity[:2] for m in measurements])
+    C = np.array([m.covariance[3:5, 3:5] for m in measurements])
+    C = C + np.diag(np.square(ROAD_SPEED_SIGMA_MPS[:2]))
+    return np.asarray(old + np.log(ROAD_USER_AREA_M2) - log_density(v, C))
+
+
+def log_density(r: FloatArray, S: FloatArray) -> FloatArray:
+    """Of Gaussian vectors (..., k) with covariance (..., k, k)."""
+    _, log_det = np.linalg.slogdet(2.0 * np.pi * S)
+    return np.asarray(-0.5 * (squared_distances(r, S) + log_det))
+
+
+def squared_distances(r: FloatArray, S: FloatArray) -> FloatArray:
+    """Squared Mahalanobis distances (...) of vectors (..., k) with covariance (..., k, k)."""
+    return np.asarray((r * np.linalg.solve(S, r[..., None])[..., 0]).sum(-1))
 
 
 def common_features(

@@ -4,6 +4,8 @@ The state of `body_kernel` holds some of the features that are seen; the map hol
 ever seen of the body, in its own frame.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
@@ -55,13 +57,29 @@ def empty_body(timestamp_ns: int, p: FloatArray, velocity: FloatArray) -> Body:
 _VAGUE = 3.0  # times the prior: what starts the replay is but a place to linearize at
 
 
-def with_velocity_prior(body: Body) -> Body:
-    """The body with the prior of road users' velocities."""
+class VelocityPrior(NamedTuple):
+    """What is known of a body's velocity (3,), m/s, before it is measured, and its covariance."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+ROAD_USERS = VelocityPrior(np.zeros(3), np.diag(np.square(ROAD_SPEED_SIGMA_MPS)))
+"""Of a body of which nothing is known."""
+
+
+def prior_of(body: Body) -> VelocityPrior:
+    """What a body that was lost leaves: its predicted velocity."""
+    return VelocityPrior(body.velocity, body.state.P[VELOCITY, VELOCITY])
+
+
+def with_velocity_prior(body: Body, prior: VelocityPrior) -> Body:
+    """The body with a prior of its velocity."""
     x, f, P = body.state
     H = np.eye(3, len(P), VELOCITY.start)
-    S = P[VELOCITY, VELOCITY] + np.diag(np.square(ROAD_SPEED_SIGMA_MPS))
+    S = P[VELOCITY, VELOCITY] + prior.covariance
     K = np.linalg.solve(S, H @ P).T
-    step = -K @ x[VELOCITY]
+    step = K @ (prior.mean - x[VELOCITY])
     return body._replace(
         state=BodyState(x + step[:N_BODY], f + step[N_BODY:].reshape(-1, 3), P - K @ H @ P)
     )

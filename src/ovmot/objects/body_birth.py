@@ -6,6 +6,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body import (
+    VelocityPrior,
     advance,
     empty_body,
     with_filled_state,
@@ -26,11 +27,12 @@ def start_body(
     frame: FrameViews,
     window: PoseWindow,
     rig: StereoRig,
+    prior: VelocityPrior,
 ) -> Body:
     """A body of features (K,) of the newest frame, which move at about `velocity` (3,), world.
 
     From the first of the earlier frames that shows enough of them, with a vague velocity; the
-    prior of road users' velocities comes last. So every view counts once.
+    `prior` of its velocity comes last. So every view counts once.
     """
     own = np.flatnonzero(np.isin(history.feature_id, feature_id))
     shown = np.isfinite(history.p_then[:, own, 2]).sum(1)
@@ -45,7 +47,7 @@ def start_body(
         if k > 0:
             body = advance(body, then)
         body = with_filled_state(with_members(body, then, feature_id), then)
-    return with_velocity_prior(body)
+    return with_velocity_prior(body, prior)
 
 
 def _after(

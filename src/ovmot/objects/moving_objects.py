@@ -10,6 +10,7 @@ from ovmot.feature_table import StereoHistory
 from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import Feedback
+from ovmot.objects.body import VelocityPrior
 from ovmot.objects.body_birth import start_body
 from ovmot.objects.body_step_kernel import Body
 from ovmot.objects.frame_views import views_now
@@ -100,9 +101,9 @@ class MovingObjects:
         frame = views_now(points, now_ns, window, self._before, rig, history.noise)
         self._before = window
 
-        def new_body(measurement: ObjectMeasurement) -> Body:
+        def new_body(measurement: ObjectMeasurement, prior: VelocityPrior) -> Body:
             return start_body(
-                measurement.feature_id, measurement.velocity, recent, frame, window, rig
+                measurement.feature_id, measurement.velocity, recent, frame, window, rig, prior
             )
 
         tracks, points = tracker.step(frame, measurements, points, new_body)

@@ -8,6 +8,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.association import associate
+from ovmot.objects.body import ROAD_USERS, VelocityPrior, prior_of
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.feature_motions import FeatureHistory
 from ovmot.objects.measurement import ObjectMeasurement
@@ -58,11 +59,11 @@ class ObjectTracker:
         frame: FrameViews,
         measurements: Sequence[ObjectMeasurement],
         points: ScenePoints,
-        new_body: Callable[[ObjectMeasurement], Body],
+        new_body: Callable[[ObjectMeasurement, VelocityPrior], Body],
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
         """The tracks of this frame, and its points with their tracks' ids and labels.
 
-        `new_body` starts a body by its measurement.
+        `new_body` starts a body by its measurement and a prior of its velocity.
         """
         settings, rig, now_ns = self._settings, self._rig, frame.timestamp_ns
         T_world_cam0 = frame.T_world_cam0
@@ -74,7 +75,7 @@ class ObjectTracker:
         matches = associate(tracks, measurements, out_of_view, now_ns)
         for i, j in matches.items():
             if tracks[i].state == TrackState.COASTING or tracks[i].body.n_used < LEAST_SEEN:
-                body = new_body(measurements[j])
+                body = new_body(measurements[j], prior_of(tracks[i].body))
                 if body.map.outline.any():
                     tracks[i] = found_again(tracks[i], body, frame)
         hulls = hulls_of(tracks)
@@ -85,7 +86,7 @@ class ObjectTracker:
         tracks = recovered(tracks, motions, frame)
         # 4 start tracks by the other measurements
         for j in sorted(set(range(len(measurements))) - set(matches.values())):
-            body = new_body(measurements[j])
+            body = new_body(measurements[j], ROAD_USERS)
             if body.map.outline.any():
                 tracks.append(start_track(self._next_id, frame, measurements[j], body))
                 self._next_id += 1
