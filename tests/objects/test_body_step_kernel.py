@@ -6,20 +6,19 @@ from body_twins import assert_same, in_body, only, rows, some_body, some_frame, 
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.so3 import rotation_z
-from ovmot.objects.body import GATES, manoeuvres
+from ovmot.objects.body import RULES, manoeuvres
 from ovmot.objects.body_kernel import (
     LEFT,
     N_BODY,
     REFUSED,
     STEREO,
+    UNSEEN,
     BodyState,
     StereoView,
     predict_body,
     update_body,
 )
 from ovmot.objects.body_step_kernel import Body, FeatureMap, FrameViews, advance_body_compiled
-
-BOUND, FAILURES = 16.3, 2
 
 
 def corrected(body: Body, T: FloatArray) -> Body:
@@ -46,7 +45,7 @@ def updated_map(body: Body, frame: FrameViews, status: IntArray) -> FeatureMap:
         elif followed[k] and np.isfinite(frame.p_world[at[k], 0]):
             p, C = in_body(body, frame.p_world[at[k], None], frame.cov_world[at[k], None])
             S, r = C[0] + cov[k], p[0] - f[k]
-            if r @ np.linalg.solve(S, r) < BOUND:
+            if r @ np.linalg.solve(S, r) < RULES.map_gate:
                 W = cov[k] @ np.linalg.inv(S)
                 f[k], cov[k], failures[k] = f[k] + W @ r, cov[k] - W @ cov[k], 0
                 n_seen[k] += 1
@@ -64,15 +63,18 @@ def advanced(body: Body, frame: FrameViews) -> Body:
     drift = frame.drift_variance + frame.drift_per_flow**2 * way
     predicted = predict_body(body.state, 0.1, manoeuvres(frame.focal), frame.step, drift)
     view = StereoView(xy, frame.T_cam0_world, frame.T_cam1_cam0, frame.variance)
-    state, status, _ = update_body(predicted, view, GATES)
+    state, status, _ = update_body(predicted, view, RULES.gates)
+    used = int(((status == STEREO) | (status == LEFT)).sum())
+    failures = np.where(status == REFUSED, body.failures + 1, 0)
+    if used < RULES.least:
+        state, status = predicted, np.full_like(status, UNSEEN)
     moved = body._replace(
-        timestamp_ns=frame.timestamp_ns, state=state, last_xy=xy[:, :2],
-        failures=np.where(status == REFUSED, body.failures + 1, 0),
-        n_used=int(((status == STEREO) | (status == LEFT)).sum()),
+        timestamp_ns=frame.timestamp_ns, state=state, last_xy=np.where(np.isfinite(xy[:, :2]), xy[:, :2], body.last_xy), failures=failures,
+        n_used=used,
     )  # fmt: skip
     m = updated_map(moved, frame, status)
-    fits = moved._replace(map=only(m, m.failures < FAILURES))
-    return with_state(fits, moved.failures < FAILURES)
+    fits = moved._replace(map=only(m, m.failures < RULES.failures))
+    return with_state(fits, moved.failures < RULES.failures)
 
 
 @pytest.mark.parametrize("before", [0, 1])
@@ -82,8 +84,24 @@ def test_a_step_is_that_of_the_plain_twin(before: int) -> None:
     body = some_body(rng)
     body.failures[3] = before
     frame = some_frame(rng, body)
-    found = advance_body_compiled(body, frame, manoeuvres(frame.focal), GATES, BOUND, FAILURES)
+    found = advance_body_compiled(body, frame, manoeuvres(frame.focal), RULES)
     assert_same(found, advanced(body, frame))
     assert (3 in found.feature_id) is (before == 0)
     assert 1 not in found.feature_id and 1 in found.map.feature_id
     assert 7 not in found.map.feature_id  # the pair of a wrong match, for the second time
+
+
+def test_a_single_feature_does_not_move_a_body() -> None:
+    """It may be of what hides it."""
+    rng = np.random.default_rng(3)
+    body = some_body(rng)
+    frame = some_frame(rng, body)
+    for n in range(len(frame.xy)):
+        if frame.feature_id[n] != 4:
+            frame.xy[n] = np.nan
+    found = advance_body_compiled(body, frame, manoeuvres(frame.focal), RULES)
+    assert_same(found, advanced(body, frame))
+    assert found.n_used == 1
+    step = 0.1 * body.state.x[6]
+    lifted = corrected(body, frame.correction).state.x[2]
+    assert found.state.x[2] == pytest.approx(lifted + step, abs=0.02)  # as predicted

@@ -19,6 +19,7 @@ from ovmot.objects.track import (
 )
 from ovmot.physics import CAR_SIZE_M, ROAD_SPEED_SIGMA_MPS, ROAD_USER_AREA_M2, gate
 
+_NEW = 0.1  # probability that a road user in view is not tracked yet
 _SHARED = 2  # common features by which a pair is possible in a wider gate
 
 
@@ -90,14 +91,14 @@ def log_odds_of_old(
     """Logarithm (T, M) of how much likelier a measurement is of a track than of a new body.
 
     By their densities over the level place and velocity: the innovation's (T, M, 6) with its
-    covariance (T, M, 6, 6), against road users anywhere at road users' velocities.
+    covariance (T, M, 6, 6), against new road users anywhere at road users' velocities.
     """
     level = np.array([0, 1, 3, 4])
     old = log_density(r[..., level], S[..., level[:, None], level])
     v = np.array([m.velocity[:2] for m in measurements])
     C = np.array([m.covariance[3:5, 3:5] for m in measurements])
     C = C + np.diag(np.square(ROAD_SPEED_SIGMA_MPS[:2]))
-    return np.asarray(old + np.log(ROAD_USER_AREA_M2) - log_density(v, C))
+    return np.asarray(old - np.log(_NEW / ROAD_USER_AREA_M2) - log_density(v, C))
 
 
 def log_density(r: FloatArray, S: FloatArray) -> FloatArray:

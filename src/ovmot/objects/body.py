@@ -11,7 +11,13 @@ import numpy as np
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body_kernel import N_BODY, BodyState, Gates, Manoeuvres
 from ovmot.objects.body_members_kernel import exchange_members_compiled
-from ovmot.objects.body_step_kernel import Body, FeatureMap, FrameViews, advance_body_compiled
+from ovmot.objects.body_step_kernel import (
+    Body,
+    FeatureMap,
+    FrameViews,
+    Rules,
+    advance_body_compiled,
+)
 from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
     LEAST_MATCH_SIGMA_PX,
@@ -23,13 +29,15 @@ from ovmot.physics import (
 
 MOST_IN_STATE = 20
 """Features in the state: more cost more than they tell."""
-_FAILURES = 2  # in a row, after which a feature leaves
+LEAST_SEEN = 2
+"""Features by which a body is seen."""
 _LIFT = 0.2  # m/s²/√Hz: slopes of roads
 _IN_GATE, _IN_HUBER = 0.999, 0.9
 GATES = Gates(
     (gate(2, _IN_GATE), gate(4, _IN_GATE)),
     (gate(2, _IN_HUBER), gate(4, _IN_HUBER)),
 )
+RULES = Rules(GATES, gate(3, _IN_GATE), failures=2, least=LEAST_SEEN)
 VELOCITY = slice(4, 7)
 _NONE = np.empty(0, np.int64)
 
@@ -87,9 +95,7 @@ def with_velocity_prior(body: Body, prior: VelocityPrior) -> Body:
 
 def advance(body: Body, frame: FrameViews) -> Body:
     """The body predicted to a frame and updated by its features there."""
-    return advance_body_compiled(
-        body, frame, manoeuvres(frame.focal), GATES, gate(3, _IN_GATE), _FAILURES
-    )
+    return advance_body_compiled(body, frame, manoeuvres(frame.focal), RULES)
 
 
 def with_members(body: Body, frame: FrameViews, feature_id: IntArray) -> Body:

@@ -18,6 +18,7 @@ from ovmot.objects.body_kernel import (
     N_BODY,
     REFUSED,
     STEREO,
+    UNSEEN,
     BodyState,
     EgoStep,
     Gates,
@@ -95,14 +96,19 @@ class FrameViews(NamedTuple):
     correction: FloatArray
 
 
-def advance_body(
-    body: Body, frame: FrameViews, m: Manoeuvres, gates: Gates, map_gate: float, failures: int
-) -> Body:
-    """The body predicted to a frame and updated by its features there.
+class Rules(NamedTuple):
+    """What counts: features of the state within `gates`, and stereo pairs of the map within a
+    squared distance `map_gate`. A feature that did not fit for so many `failures` in a row leaves;
+    a body is seen by at `least` so many: a single one may be of what hides it."""
 
-    Of the map only stereo pairs within the squared distance `map_gate` count. A feature that did
-    not fit for so many `failures` in a row leaves.
-    """
+    gates: Gates
+    map_gate: float
+    failures: int
+    least: int
+
+
+def advance_body(body: Body, frame: FrameViews, m: Manoeuvres, rules: Rules) -> Body:
+    """The body predicted to a frame and updated by its features there, if it is seen."""
     # 1 the body in the world as it is now, with the features that the frame has
     body = corrected(body, frame.correction)
     seen = rows_of_ids(body.feature_id, frame.feature_id) >= 0
@@ -124,20 +130,22 @@ def advance_body(
     dt = 1e-9 * (frame.timestamp_ns - body.timestamp_ns)
     predicted = predict_body(body.state, dt, m, frame.step, drift)
     view = StereoView(xy, frame.T_cam0_world, frame.T_cam1_cam0, frame.variance)
-    state, status, _ = update_body(predicted, view, gates)
+    state, status, _ = update_body(predicted, view, rules.gates)
     failed, used = np.zeros(n, np.int64), 0
     for i in range(n):
         if status[i] == REFUSED:
             failed[i] = body.failures[i] + 1
         elif status[i] == STEREO or status[i] == LEFT:
             used += 1
+    if used < rules.least:
+        state, status = predicted, np.full(n, UNSEEN)
     # 3 the map; what does not fit leaves both
     moved = Body(
         frame.timestamp_ns, state, body.feature_id, failed, last_xy, body.map, used
     )  # fmt: skip
-    new = updated_map(moved, frame, status, map_gate)
-    fits = with_map(moved, chosen(new, new.failures < failures))
-    return with_state_of(fits, failed < failures)
+    new = updated_map(moved, frame, status, rules.map_gate)
+    fits = with_map(moved, chosen(new, new.failures < rules.failures))
+    return with_state_of(fits, failed < rules.failures)
 
 
 @part

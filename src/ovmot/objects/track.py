@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.body import advance, with_members
+from ovmot.objects.body import LEAST_SEEN, advance, with_members
 from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box, updated_heading
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
@@ -24,7 +24,6 @@ _MANY_FEATURES = 5  # with one velocity are not by chance: two measurements are 
 ACROSS_SHARE = 0.5
 """Of the velocity along the ray, that one across it must be at least."""
 _STEADY_S = 1.0  # over which a box takes on what was newly seen
-LEAST_SEEN = 2  # features by which a body is seen
 
 
 class TrackState(StrEnum):

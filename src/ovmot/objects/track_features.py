@@ -7,12 +7,12 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.table_kernel import columns_of_compiled
-from ovmot.objects.body import exchange_members, with_members
+from ovmot.objects.body import LEAST_SEEN, exchange_members, with_members
 from ovmot.objects.body_box import gap_of
 from ovmot.objects.body_step_kernel import FrameViews
 from ovmot.objects.feature_motions import CLEARLY, FeatureMotions
 from ovmot.objects.merging import BESIDE_NS
-from ovmot.objects.track import LEAST_SEEN, Track, TrackState, horizontal_variance
+from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_features_kernel import (
     Hulls,
     Limits,

@@ -8,7 +8,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.association import associate
-from ovmot.objects.body import ROAD_USERS, VelocityPrior, prior_of
+from ovmot.objects.body import LEAST_SEEN, ROAD_USERS, VelocityPrior, prior_of
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.feature_motions import FeatureHistory
 from ovmot.objects.measurement import ObjectMeasurement
@@ -16,7 +16,6 @@ from ovmot.objects.merging import merge_duplicates
 from ovmot.objects.output import to_object_track
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.track import (
-    LEAST_SEEN,
     Track,
     TrackState,
     advance_track,
