@@ -68,8 +68,9 @@ def advanced(body: Body, frame: FrameViews) -> Body:
     failures = np.where(status == REFUSED, body.failures + 1, 0)
     if used < RULES.least:
         state, status = predicted, np.full_like(status, UNSEEN)
+    last_xy = np.where(np.isfinite(xy[:, :2]), xy[:, :2], body.last_xy)
     moved = body._replace(
-        timestamp_ns=frame.timestamp_ns, state=state, last_xy=np.where(np.isfinite(xy[:, :2]), xy[:, :2], body.last_xy), failures=failures,
+        timestamp_ns=frame.timestamp_ns, state=state, last_xy=last_xy, failures=failures,
         n_used=used,
     )  # fmt: skip
     m = updated_map(moved, frame, status)
