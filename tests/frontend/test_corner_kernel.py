@@ -1,14 +1,9 @@
-"""The compiled search for corners against OpenCV and plain NumPy twins."""
+"""Room for corners, and those that are taken, against plain NumPy twins."""
 
-import cv2
 import numpy as np
 import pytest
 
-from ovmot.frontend.corner_kernel import (
-    find_room_compiled,
-    strongest_first_compiled,
-    take_corners_compiled,
-)
+from ovmot.frontend.corner_kernel import find_room_compiled, take_corners_compiled
 from ovmot.frontend.preprocessing import inside_mask
 from ovmot.frontend.spread_kernel import spread_corners
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
@@ -19,11 +14,6 @@ CELL_PX, PER_CELL, APART_PX = (
     np.array([3, 1, 12]),
     np.array([6.0, 6.0, 2.5]),
 )
-
-
-def picture() -> Image:
-    noise = np.random.default_rng(0).integers(0, 255, SHAPE).astype(np.uint8)
-    return np.asarray(cv2.GaussianBlur(noise, (0, 0), 1.0), dtype=np.uint8)
 
 
 def features(n: int) -> FloatArray:
@@ -37,18 +27,6 @@ def focus_of(there: bool) -> Image:
     focus = np.zeros(SHAPE if there else (0, 0), dtype=np.uint8)
     focus[20:60, 30:90] = 255
     return focus
-
-
-def test_corners_come_in_the_order_of_opencv_s_response() -> None:
-    image = picture()
-    keypoints = cv2.FastFeatureDetector.create(10, nonmaxSuppression=True).detect(image)
-    assert len(keypoints) > 100
-    points = np.array([k.pt for k in keypoints])
-    order = np.argsort([-k.response for k in keypoints], kind="stable")
-    inside = np.asarray(((points >= 7.0) & (points < np.array(SHAPE[::-1]) - 7.0)).all(axis=1))
-    expected = points[order][inside[order]]
-    np.testing.assert_array_equal(strongest_first_compiled(image, points, 7), expected)
-    assert strongest_first_compiled(image, points[:0], 7).shape == (0, 2)
 
 
 def room_numpy(

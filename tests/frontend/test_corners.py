@@ -7,12 +7,12 @@ from ovmot.cameras.camera import Camera
 from ovmot.frontend.corners import (
     Spread,
     even_spread,
-    fast_corners,
     fine_cell_px,
     focus_areas,
     focus_mask,
     new_corners,
 )
+from ovmot.frontend.fast_kernel import fast_corners_compiled
 from ovmot.frontend.spread_kernel import spread_corners_compiled
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.settings import TrackerSettings
@@ -39,7 +39,8 @@ def dots() -> Image:
 
 def detect(image: Image, existing: FloatArray, n_wanted: int) -> FloatArray:
     """New corners (M, 2) of an image."""
-    corners, (height, width) = fast_corners(image, 15, BORDER_PX), image.shape
+    everywhere, (height, width) = np.full_like(image, 255), image.shape
+    corners = fast_corners_compiled(image, everywhere, 15, BORDER_PX)
     chosen = spread_corners_compiled(
         corners, existing, n_wanted, SPREAD.distance_px, SPREAD.cell_px, SPREAD.per_cell,
         width, height,

@@ -1,5 +1,7 @@
-"""The compiled parts of the search for new corners: where there is room, which are the strongest,
-and which are taken. The plain twins are in `tests/frontend/test_corner_kernel.py`."""
+"""The compiled parts of the search for new corners: where there is room, and which are taken.
+
+The plain twins are in `tests/frontend/test_corner_kernel.py`.
+"""
 
 from pathlib import Path
 
@@ -8,49 +10,6 @@ import numpy as np
 from ovmot.frontend.spread_kernel import spread_corners_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-
-_RING_U = np.array([0, 1, 2, 3, 3, 3, 2, 1, 0, -1, -2, -3, -3, -3, -2, -1])
-_RING_V = np.array([3, 3, 2, 1, 0, -1, -2, -3, -3, -3, -2, -1, 0, 1, 2, 3])
-_RING, _ARC = 16, 9
-"""Pixels of the circle around a corner of FAST-9, and those in a row that must differ."""
-
-
-@part
-def _response(image: Image, u: int, v: int) -> int:
-    """The greatest threshold at which a pixel is still a corner of FAST-9."""
-    centre, best = np.int64(image[v, u]), np.int64(0)
-    for first in range(_RING):
-        darker, brighter = np.int64(255), np.int64(255)
-        for k in range(first, first + _ARC):
-            off = np.int64(image[v + _RING_V[k % _RING], u + _RING_U[k % _RING]]) - centre
-            darker, brighter = min(darker, -off), min(brighter, off)
-        best = max(best, darker, brighter)
-    return int(best) - 1
-
-
-def strongest_first(image: Image, corners: FloatArray, border_px: int) -> FloatArray:
-    """Corners (M, 2) of FAST-9, at whole pixels, the strongest first, equal ones in their order.
-
-    Without those nearer than `border_px` to the border of the image (height, width).
-    """
-    height, width = image.shape
-    response, starts = np.full(len(corners), -1, dtype=np.int64), np.zeros(257, dtype=np.int64)
-    for m in range(len(corners)):
-        u, v = int(corners[m, 0]), int(corners[m, 1])
-        inside_u, inside_v = border_px <= u < width - border_px, border_px <= v < height - border_px
-        if inside_u and inside_v:
-            response[m] = max(_response(image, u, v), 0)
-            starts[256 - response[m]] += 1  # counting sort: where those of a response begin
-    for k in range(1, 257):
-        starts[k] += starts[k - 1]
-    out = np.empty((starts[256], 2))
-    for m in range(len(corners)):
-        if response[m] >= 0:
-            at = starts[255 - response[m]]
-            out[at, 0], out[at, 1] = corners[m, 0], corners[m, 1]
-            starts[255 - response[m]] += 1
-    return out
-
 
 @part
 def _is_set(image: Image, u: float, v: float) -> bool:
@@ -133,6 +92,5 @@ def take_corners(
 
 
 _folder = code_folder(Path(__file__))
-strongest_first_compiled = compiled(strongest_first, _folder)
 find_room_compiled = compiled(find_room, _folder)
 take_corners_compiled = compiled(take_corners, _folder)

@@ -6,11 +6,8 @@ import cv2
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.frontend.corner_kernel import (
-    find_room_compiled,
-    strongest_first_compiled,
-    take_corners_compiled,
-)
+from ovmot.frontend.corner_kernel import find_room_compiled, take_corners_compiled
+from ovmot.frontend.fast_kernel import fast_corners_compiled
 from ovmot.frontend.preprocessing import NO_MASK, for_kernels
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image
 from ovmot.physics import MAX_VEHICLE_SIZE_M
@@ -57,7 +54,9 @@ def new_corners(
     room, wanted = find_room_compiled(
         height, width, unwanted, wanted_there, existing, dynamic, np.array(most), *cells,
     )  # fmt: skip
-    corners = fast_corners(image, settings.fast_threshold, settings.klt_window_px // 2, room)
+    corners = fast_corners_compiled(
+        for_kernels(image), room, settings.fast_threshold, settings.klt_window_px // 2
+    )
     apart_px = np.array([s.distance_px for s in spreads])
     taken: FloatArray = take_corners_compiled(
         corners, existing, wanted_there, wanted, apart_px, *cells, width, height
@@ -115,20 +114,3 @@ def focus_mask(
     for (u, v), radius in zip(centers, radii, strict=True):
         cv2.circle(mask, (u, v), radius, 255, cv2.FILLED)
     return mask
-
-
-def fast_corners(
-    image: Image, threshold: int, border_px: int, room: Image | None = None
-) -> FloatArray:
-    """All corners (M, 2) of an image, the strongest first.
-
-    None where `room` is zero, or nearer than `border_px` to the image border. FAST (E. Rosten &
-    T. Drummond, ECCV 2006), `threshold` in grey levels.
-    """
-    detector = cv2.FastFeatureDetector.create(threshold, nonmaxSuppression=True)
-    keypoints = detector.detect(image, room)
-    if not keypoints:
-        return np.empty((0, 2))
-    points = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64)
-    strongest: FloatArray = strongest_first_compiled(image, points, border_px)
-    return strongest
