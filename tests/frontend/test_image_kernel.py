@@ -4,7 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from ovmot.frontend.image_kernel import grey_range_compiled, scale_levels_compiled
+from ovmot.frontend.image_kernel import (
+    grey_range_compiled,
+    scale_levels_compiled,
+    thin_out_compiled,
+)
 from ovmot.frontend.patch_kernel import MARGIN
 from ovmot.frontend.preprocessing import patch_image, stretch_linearly
 from ovmot.geometry.arrays import Image
@@ -39,6 +43,21 @@ def test_percentiles_of_greys_are_those_of_numpy(
     for image in (noise(shape), noise(shape) // 100 * 50):  # all levels, and three
         expected = np.percentile(image[::step, ::step], percent)
         np.testing.assert_allclose(grey_range_compiled(image, step, *percent), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("step", [1, 8])
+def test_a_thinned_image_and_its_equal_rows(shape: tuple[int, int], step: int) -> None:
+    image = noise(shape)
+    expected = image[:, ::step]
+    last = expected.copy()
+    last[::3, -1] += 1
+    nothing = np.empty((0, 0), dtype=np.uint8)
+    for before, same in ((last, (last == expected).all(axis=1)), (nothing, [False] * shape[0])):
+        thin, equal, low, high = thin_out_compiled(image, step, before, 1.0, 99.0)
+        np.testing.assert_array_equal(thin, expected)
+        np.testing.assert_array_equal(equal, same)
+        assert (low, high) == grey_range_compiled(image, step, 1.0, 99.0)
 
 
 @pytest.mark.parametrize(("low", "gain"), [(0.0, 1.0), (37.5, 1.7), (80.0, 4.0)])

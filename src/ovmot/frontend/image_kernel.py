@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ovmot.geometry.arrays import Image, IntArray
+from ovmot.geometry.arrays import BoolArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
 _Words = npt.NDArray[np.int32]
@@ -26,6 +26,31 @@ def grey_range(image: Image, step: int, low: float, high: float) -> tuple[float,
         for u in range(0, len(row), step):
             counts[row[u]] += 1
     return _percentile(counts, low), _percentile(counts, high)
+
+
+def thin_out(
+    image: Image, step: int, last: Image, low: float, high: float
+) -> tuple[Image, BoolArray, float, float]:
+    """Every `step`-th column of an image, in which rows (height,) it is `last`, and `grey_range`.
+
+    `last`: that of another image, or an empty one (0, 0), which no row is equal to.
+    """
+    height, n_columns = image.shape[0], -(-image.shape[1] // step)
+    thin, equal = np.empty((height, n_columns), np.uint8), np.zeros(height, np.bool_)
+    counts = np.zeros(256, dtype=np.int64)
+    for v in range(height):
+        row, out = image[v], thin[v]
+        for k in range(n_columns):
+            out[k] = row[k * step]
+        if v % step == 0:
+            for k in range(n_columns):
+                counts[out[k]] += 1
+        if len(last):
+            before, k = last[v], 0
+            while k < n_columns and out[k] == before[k]:
+                k += 1
+            equal[v] = k == n_columns
+    return thin, equal, _percentile(counts, low), _percentile(counts, high)
 
 
 @part
@@ -119,5 +144,6 @@ def smooth_to_words(image: Image, weights: _Words, margin: int) -> _Words:
 
 _folder = code_folder(Path(__file__))
 grey_range_compiled = compiled(grey_range, _folder)
+thin_out_compiled = compiled(thin_out, _folder)
 scale_levels_compiled = compiled(scale_levels, _folder)
 smooth_to_words_compiled = compiled(smooth_to_words, _folder)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.errors import OvmotError
-from ovmot.frontend.image_kernel import grey_range_compiled
-from ovmot.frontend.preprocessing import for_kernels
+from ovmot.frontend.image_kernel import thin_out_compiled
+from ovmot.frontend.preprocessing import NO_MASK, for_kernels
 from ovmot.geometry.arrays import BoolArray, Image
 from ovmot.types import FeatureFrame, Picture, StereoFrame
 
@@ -70,11 +70,9 @@ def _judge(
 ) -> tuple[Picture, LastPicture | None]:
     if missing:
         return Picture.MISSING, last
-    thin = np.ascontiguousarray(image[:, ::_STEP])
-    unlike = np.zeros(len(thin), dtype=np.bool_)
-    equal = unlike if last is None else np.asarray((thin == last.thin).all(axis=1))
+    before = NO_MASK if last is None else last.thin
+    thin, equal, low, high = thin_out_compiled(for_kernels(image), _STEP, before, 1.0, 99.0)
     kept = LastPicture(thin, equal)
-    low, high = grey_range_compiled(for_kernels(image), _STEP, 1.0, 99.0)
     if high - low < _FLAT_LEVELS:
         return Picture.FLAT, kept
     if last is None or not moving:

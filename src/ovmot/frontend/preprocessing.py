@@ -7,6 +7,7 @@ from functools import partial
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
@@ -28,6 +29,17 @@ NO_MASK: Image = np.empty((0, 0), dtype=np.uint8)
 """An image of no pixels: no mask, as kernels take it."""
 _MAX_GAIN = 4.0
 """Greatest gain of contrast, so that night stays night; CLAHE's clip limit is the same bound."""
+
+
+def _smoothing_weights(sigma_px: float) -> npt.NDArray[np.int32]:
+    """A Gaussian of five pixels in 256ths: the outer two weights, and the middle one (3,)."""
+    outer = np.round(256.0 * cv2.getGaussianKernel(5, sigma_px).ravel()[:2])
+    return np.append(outer, 256.0 - 2.0 * outer.sum()).astype(np.int32)
+
+
+_SMOOTHING = _smoothing_weights(0.8)
+"""Of images that patches are cut from: between smoothed pixels, bilinear sampling costs little
+sharpness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,17 +115,12 @@ def build_pyramid(image: Image, settings: TrackerSettings) -> Pyramid:
     return Pyramid(tuple(levels), window)
 
 
-def patch_image(image: Image, *, sigma_px: float = 0.8) -> Quads:
+def patch_image(image: Image) -> Quads:
     """The image as patches are cut from it and aligned with it: smoothed, continued by `MARGIN`
     pixels of its border, in words of four: a pixel, its right, its lower and its lower right
     neighbour, from the lowest byte on. One load has all that a bilinear sample needs.
-
-    Bilinear sampling between smoothed pixels costs little sharpness.
     """
-    weights = cv2.getGaussianKernel(5, sigma_px).ravel()
-    outer = np.round(256.0 * weights[:2]).astype(np.int32)
-    symmetric = np.append(outer, 256 - 2 * outer.sum()).astype(np.int32)
-    return smooth_to_words_compiled(for_kernels(image), symmetric, MARGIN)
+    return smooth_to_words_compiled(for_kernels(image), _SMOOTHING, MARGIN)
 
 
 def inside_mask(uv: FloatArray, mask: Image | None) -> BoolArray:
