@@ -44,8 +44,8 @@ def by_flow_alone(
     uv, warp, state = start.copy(), store.warp[slot], np.zeros(n, dtype=np.uint8)
     find_features_compiled(
         build_pyramid(source, SETTINGS).levels, build_pyramid(target, SETTINGS).levels,
-        patch_image(target), WINDOW, store.grey, store.steepest, store.inverse, slot, store.warp,
-        points, np.arange(n), start[None], np.full((1, n), n_levels), False,
+        patch_image(target), WINDOW, store.patches, slot, store.warp, points,
+        np.arange(n), start[None], np.full((1, n), n_levels), False,
         never, never, 8, 0.02, uv, warp, state,
     )  # fmt: skip
     return uv, state != LOST

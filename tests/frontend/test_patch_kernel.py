@@ -5,6 +5,7 @@ import numpy as np
 
 from ovmot.frontend.feature_kernel import ALIGNED, find_features_compiled
 from ovmot.frontend.feature_search import MIN_CORRELATION
+from ovmot.frontend.patch_kernel import Patch
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import build_pyramid, patch_image
 from ovmot.geometry.arrays import AnyArray, FloatArray, Image, IntArray
@@ -29,6 +30,16 @@ def smooth(image: Image) -> AnyArray:
     return np.asarray(cv2.GaussianBlur(image, (5, 5), 0.8))
 
 
+def steepest_of(patches: Patch) -> AnyArray:
+    """Derivatives (S, 6, PIXELS) by a shift and by the warp, as they follow from what is kept."""
+    by_u, by_v = patches.slope[:, 0, :PIXELS], patches.slope[:, 1, :PIXELS]
+    x, y = OFFSETS / RADIUS
+    rows = np.stack([by_u, by_v, by_u * x, by_u * y, by_v * x, by_v * y], axis=1)
+    root = ROOT_WEIGHT / np.linalg.norm(ROOT_WEIGHT)
+    offset, gain = patches.gain[:, :, :1], patches.gain[:, :, 1:]
+    return np.asarray(rows - offset * root - gain * patches.grey[:, None, :PIXELS])
+
+
 def twin(
     image: AnyArray, store: PatchStore, slot: IntArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -36,7 +47,7 @@ def twin(
     axis = np.arange(-RADIUS, RADIUS + 1, dtype=np.float64)
     offsets = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     uv, warp = start.copy(), store.warp[slot]
-    all_grey, all_steepest = store.grey[slot, :PIXELS], store.steepest[slot, :, :PIXELS]
+    all_grey, all_steepest = store.patches.grey[slot, :PIXELS], steepest_of(store.patches)[slot]
     correlation, going, before = np.zeros(len(uv)), np.arange(len(uv)), np.zeros(len(uv))
     weight = (ROOT_WEIGHT.astype(np.float64) ** 2) / (ROOT_WEIGHT.astype(np.float64) ** 2).sum()
     for _ in range(STEPS):
@@ -45,7 +56,9 @@ def twin(
         seen /= np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-3)
         error = seen - all_grey[going]
         correlation[going] = 1.0 - 0.5 * (error**2).sum(1)
-        step = np.einsum("nij,njm,nm->ni", store.inverse[slot[going]], all_steepest[going], error)
+        step = np.einsum(
+            "nij,njm,nm->ni", store.patches.inverse[slot[going]], all_steepest[going], error
+        )
         change = np.eye(2) + step[:, 2:].reshape(-1, 2, 2) / RADIUS
         warp[going] = warp[going] @ np.linalg.inv(change)
         uv[going] -= (warp[going] @ step[:, :2, None])[..., 0]
@@ -72,7 +85,7 @@ def test_the_compiled_alignment_agrees_with_the_twin() -> None:
     n = len(points)
     uv, warp, state = start.copy(), store.warp[slot], np.zeros(n, dtype=np.uint8)
     find_features_compiled(
-        levels, levels, target, SETTINGS.klt_window_px, store.grey, store.steepest, store.inverse,
+        levels, levels, target, SETTINGS.klt_window_px, store.patches,
         slot, store.warp, points, np.arange(n), start[None], np.full((1, n), no_flow), False,
         MIN_CORRELATION, MIN_CORRELATION, STEPS, SMALL, uv, warp, state,
     )  # fmt: skip
@@ -117,8 +130,10 @@ def test_a_cut_patch_is_that_of_the_twin() -> None:
         steepest -= np.outer(steepest @ unit, unit)
         H = steepest @ steepest.T
         H += np.eye(6) * (1e-3 * np.trace(H) / 6.0 + 1e-9)
-        np.testing.assert_allclose(store.grey[slot[n], :PIXELS], unit, atol=1e-4)
-        np.testing.assert_allclose(store.steepest[slot[n], :, :PIXELS], steepest, atol=1e-4)
+        np.testing.assert_allclose(store.patches.grey[slot[n], :PIXELS], unit, atol=1e-4)
+        np.testing.assert_allclose(steepest_of(store.patches)[slot[n]], steepest, atol=1e-4)
         scale = np.abs(np.linalg.inv(H)).max()
-        np.testing.assert_allclose(store.inverse[slot[n]], np.linalg.inv(H), atol=1e-3 * scale)
-        assert not store.grey[slot[n], PIXELS:].any()
+        np.testing.assert_allclose(
+            store.patches.inverse[slot[n]], np.linalg.inv(H), atol=1e-3 * scale
+        )
+        assert not store.patches.grey[slot[n], PIXELS:].any()

@@ -93,12 +93,12 @@ def test_slots_are_kept_freed_and_given_again() -> None:
     first = store.add(image, points[:10])
     second = store.add(image, points[10:40])
     assert len(np.intersect1d(first, second)) == 0
-    grey = store.grey[second].copy()
+    grey = store.patches.grey[second].copy()
     store.keep(second)
     third = store.add(image, points[40:])
     assert len(np.intersect1d(second, third)) == 0
     assert len(np.intersect1d(first, third)) == 10
-    np.testing.assert_array_equal(store.grey[second], grey)
+    np.testing.assert_array_equal(store.patches.grey[second], grey)
 
 
 def test_a_renewed_patch_is_that_of_a_new_feature() -> None:
@@ -112,7 +112,7 @@ def test_a_renewed_patch_is_that_of_a_new_feature() -> None:
     renewed.warp[slot] = 2.0 * np.eye(2)
     renewed.renew(other, points, slot)
     anew = new.add(other, points)
-    np.testing.assert_array_equal(renewed.grey[slot], new.grey[anew])
+    np.testing.assert_array_equal(renewed.patches.grey[slot], new.patches.grey[anew])
     np.testing.assert_array_equal(renewed.warp[slot], np.broadcast_to(np.eye(2), (len(slot), 2, 2)))
 
 

@@ -11,6 +11,7 @@ from ovmot.frontend.spread_kernel import spread_corners_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
+
 @part
 def _is_set(image: Image, u: float, v: float) -> bool:
     """Is the image not zero at a pixel? Not beyond its border, nor at NaN."""

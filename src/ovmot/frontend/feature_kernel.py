@@ -12,7 +12,9 @@ import numpy.typing as npt
 from ovmot.frontend.klt_kernel import LANES, MAX_ROUND_TRIP_PX, flow_there_and_back
 from ovmot.frontend.patch_kernel import (
     MARGIN,
+    PADDED,
     SIDE,
+    Patch,
     Quads,
     Room,
     align_patch,
@@ -30,9 +32,15 @@ _States = npt.NDArray[np.uint8]
 
 
 @inlined_part
+def _patch_at(patches: Patch, slot: int) -> Patch:
+    """One of many patches."""
+    return Patch(patches.grey[slot], patches.slope[slot], patches.gain[slot], patches.inverse[slot])
+
+
+@inlined_part
 def _find_one(
     source: tuple[Image, ...], target: tuple[Image, ...], words: Quads, side: int,
-    grey: _Float32, steepest: _Float32, inverse: _Float32, points: FloatArray, n_levels: int,
+    patch: Patch, points: FloatArray, n_levels: int,
     min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
     room: _Float32, patch_room: Room, uv: FloatArray, warp: FloatArray,
 ) -> int:  # fmt: skip
@@ -46,9 +54,7 @@ def _find_one(
     if not (0.0 <= begin_u < width and 0.0 <= begin_v < height):
         return LOST
     # by the patch alone, where that is sure
-    correlation = align_patch(
-        words, grey, steepest, inverse, uv, warp, patch_room, max_steps, small_step_px
-    )
+    correlation = align_patch(words, patch, uv, warp, patch_room, max_steps, small_step_px)
     if correlation > sure_correlation:
         return ALIGNED
     # by the patch, where flow from there stays there
@@ -64,9 +70,7 @@ def _find_one(
     warp[0, 0], warp[0, 1], warp[1, 0], warp[1, 1] = w00, w01, w10, w11
     if not ok:
         return LOST
-    correlation = align_patch(
-        words, grey, steepest, inverse, uv, warp, patch_room, max_steps, small_step_px
-    )
+    correlation = align_patch(words, patch, uv, warp, patch_room, max_steps, small_step_px)
     if correlation > min_correlation:
         return ALIGNED
     uv[0], uv[1] = u, v
@@ -76,7 +80,7 @@ def _find_one(
 
 def find_features(
     source: tuple[Image, ...], target: tuple[Image, ...], words: Quads, side: int,
-    grey: _Float32, steepest: _Float32, inverse: _Float32, slot: IntArray, start_warp: FloatArray,
+    patches: Patch, slot: IntArray, start_warp: FloatArray,
     points: FloatArray, row: IntArray, starts: FloatArray, n_levels: IntArray, must_fit: bool,
     min_correlation: float, sure_correlation: float, max_steps: int, small_step_px: float,
     uv: FloatArray, warp: FloatArray, state: _States,
@@ -95,8 +99,8 @@ def find_features(
 
     `source`, `target`: pyramids of `klt_kernel`, for windows of `side` pixels, of the image that
     holds `points` (N, 2) and of the one searched; `words`: the latter by
-    `preprocessing.patch_image`. `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6),
-    `start_warp` (S, 2, 2): patches, of feature n that at `slot[n]`.
+    `preprocessing.patch_image`. `patches`, with their `start_warp` (S, 2, 2): arrays of S patches;
+    of feature n that at `slot[n]`.
     """
     room = np.zeros((5, (side + 4) ** 2 + LANES), dtype=np.float32)
     patch_room = make_room()
@@ -110,8 +114,8 @@ def find_features(
             at_warp[0, 0], at_warp[0, 1] = start_warp[at, 0, 0], start_warp[at, 0, 1]
             at_warp[1, 0], at_warp[1, 1] = start_warp[at, 1, 0], start_warp[at, 1, 1]
             how = _find_one(
-                source, target, words, side, grey[at], steepest[at], inverse[at], points[n],
-                n_levels[h, n], min_correlation, sure_correlation, max_steps, small_step_px,
+                source, target, words, side, _patch_at(patches, at), points[n], n_levels[h, n],
+                min_correlation, sure_correlation, max_steps, small_step_px,
                 room, patch_room, at_uv, at_warp,
             )  # fmt: skip
             if how == ALIGNED or (how == TRACKED and not must_fit):
@@ -122,17 +126,17 @@ def find_features(
 
 
 def cut_patches(
-    words: Quads, uv: FloatArray, slot: IntArray,
-    grey: _Float32, steepest: _Float32, inverse: _Float32, damping: float,
-) -> None:  # fmt: skip
+    words: Quads, uv: FloatArray, slot: IntArray, patches: Patch, damping: float
+) -> None:
     """Fill the patches at `slot` (N,) by those around pixels `uv` (N, 2) of an image.
 
-    `grey` (S, PADDED), `steepest` (S, 6, PADDED), `inverse` (S, 6, 6): as `cut_patch` has them.
+    `patches`: arrays of S patches; see `cut_patch`.
     """
     wide = np.zeros((SIDE + 2, SIDE + 2), dtype=np.float32)
+    rows = np.zeros((6, PADDED), dtype=np.float32)
     for n in range(len(uv)):
-        at = slot[n]
-        cut_patch(words, uv[n, 0], uv[n, 1], wide, grey[at], steepest[at], inverse[at], damping)
+        patch = _patch_at(patches, slot[n])
+        cut_patch(words, uv[n, 0], uv[n, 1], wide, rows, patch, damping)
 
 
 @part

@@ -171,7 +171,7 @@ def _find(
     def search(first: int) -> None:
         find_features_compiled(
             sought.pyramid.levels, view.pyramid.levels, view.words, view.pyramid.window,
-            store.grey, store.steepest, store.inverse, sought.slot, store.warp, sought.uv,
+            store.patches, sought.slot, store.warp, sought.uv,
             row[first : first + portion], starts, levels, must_fit,
             MIN_CORRELATION, SURE_CORRELATION, max_steps, small_step_px, *found,
         )  # fmt: skip

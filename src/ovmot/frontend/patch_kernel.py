@@ -42,10 +42,26 @@ def _padded(values: FloatArray) -> _Float32:
 
 _row, _column = np.mgrid[-RADIUS : RADIUS + 1, -RADIUS : RADIUS + 1].astype(np.float64)
 OFFSET_U, OFFSET_V = _padded(_column), _padded(_row)
+_SHARE_U, _SHARE_V = _padded(_column / RADIUS), _padded(_row / RADIUS)
 ROOT_WEIGHT = _padded(np.exp(-0.25 * (_column**2 + _row**2) / SIGMA_PX**2))
 ROOT_WEIGHT /= np.linalg.norm(ROOT_WEIGHT)
 """Square root of a Gaussian weight of sum one: what lies off the centre counts less, since at an
 outline it belongs to another body."""
+
+
+class Patch(NamedTuple):
+    """A patch: `grey` levels (PADDED,), weighted, of zero mean and unit norm; their derivatives by
+    a shift, `slope` (2, PADDED), weighted; the `inverse` (6, 6) of the curvature.
+
+    The other four derivatives, by the warp's numbers times the radius, are these times a pixel's
+    place in the patch. `gain` (6, 2): how much of each of the six is an offset of all grey levels,
+    and how much a gain. That is taken off: patches are compared without them.
+    """
+
+    grey: _Float32
+    slope: _Float32
+    gain: _Float32
+    inverse: _Float32
 
 
 class Room(NamedTuple):
@@ -94,7 +110,7 @@ def _load(words: Quads, corner: int, room: Room) -> None:
 
 
 @reordered_part
-def _sum_up(room: Room, centre: float, grey: _Float32, steepest: _Float32) -> None:
+def _sum_up(room: Room, centre: float, grey: _Float32, slope: _Float32, gain: _Float32) -> None:
     """Fill `sums` of the room: of weighted grey levels with the patch's derivatives (6), with the
     weight, with themselves and with the patch; less `centre`, which keeps them small."""
     s0, s1, s2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -112,22 +128,22 @@ def _sum_up(room: Room, centre: float, grey: _Float32, steepest: _Float32) -> No
         mean += ROOT_WEIGHT[m] * seen
         square += seen * seen
         product += seen * grey[m]
-        s0 += seen * steepest[0, m]
-        s1 += seen * steepest[1, m]
-        s2 += seen * steepest[2, m]
-        s3 += seen * steepest[3, m]
-        s4 += seen * steepest[4, m]
-        s5 += seen * steepest[5, m]
+        by_u, by_v = seen * slope[0, m], seen * slope[1, m]
+        s0 += by_u
+        s1 += by_v
+        s2 += by_u * _SHARE_U[m]
+        s3 += by_u * _SHARE_V[m]
+        s4 += by_v * _SHARE_U[m]
+        s5 += by_v * _SHARE_V[m]
     sums = room.sums
     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = s0, s1, s2, s3, s4, s5
     sums[6], sums[7], sums[8] = mean, square, product
+    for k in range(6):
+        sums[k] -= gain[k, 0] * mean + gain[k, 1] * product
 
 
 @part
-def _compare(
-    words: Quads, u: float, v: float, warp: FloatArray,
-    grey: _Float32, steepest: _Float32, room: Room,
-) -> float:  # fmt: skip
+def _compare(words: Quads, u: float, v: float, warp: FloatArray, patch: Patch, room: Room) -> float:
     """Correlation of a patch with the image at (u, v) under the warp; the gradient in `sums[:6]`.
 
     -1 where the patch reaches beyond the image's margin. Patch and derivatives are orthogonal to
@@ -145,7 +161,7 @@ def _compare(
     centre = words[top, left] & 255
     _locate(u - left + _SHIFT, v - top + _SHIFT, warp, width, room)
     _load(words.ravel(), (top - _SHIFT) * width + left - _SHIFT, room)
-    _sum_up(room, centre, grey, steepest)
+    _sum_up(room, centre, patch.grey, patch.slope, patch.gain)
     sums = room.sums
     norm = max(math.sqrt(max(sums[7] - sums[6] * sums[6], 0.0)), LEAST_NORM)
     for k in range(6):
@@ -183,24 +199,23 @@ def _compose(uv: FloatArray, warp: FloatArray, step: FloatArray) -> bool:
 
 @part
 def align_patch(
-    words: Quads, grey: _Float32, steepest: _Float32, inverse: _Float32,
-    uv: FloatArray, warp: FloatArray, room: Room, most_steps: int, small_step: float,
+    words: Quads, patch: Patch, uv: FloatArray, warp: FloatArray, room: Room,
+    most_steps: int, small_step: float,
 ) -> float:  # fmt: skip
     """Move `uv` (2,) and `warp` (2, 2), in place, to where a patch fits; the correlation there.
 
-    `words`: the image, see `preprocessing.patch_image`. `grey` (PADDED,), `steepest` (6, PADDED),
-    `inverse` (6, 6) of the patch as `cut_patch` makes them. It stops after `most_steps`, where
-    the shifts still to come are below `small_step`, as they fall by one factor from step to step,
+    `words`: the image, see `preprocessing.patch_image`. It stops after `most_steps`, where the
+    shifts still to come are below `small_step`, as they fall by one factor from step to step,
     or `SIGMA_PX` from its start: the correlation is then 0, as it is where the warp is singular or
     leads out of the image.
     """
     start_u, start_v = uv[0], uv[1]
     correlation, step, before = 0.0, room.step, 0.0
     for _ in range(most_steps):
-        correlation = _compare(words, uv[0], uv[1], warp, grey, steepest, room)
+        correlation = _compare(words, uv[0], uv[1], warp, patch, room)
         if correlation < 0.0:
             return 0.0
-        _multiply(inverse, room.sums, step)
+        _multiply(patch.inverse, room.sums, step)
         if not _compose(uv, warp, step):
             return 0.0
         if not math.hypot(uv[0] - start_u, uv[1] - start_v) < SIGMA_PX:
@@ -249,34 +264,45 @@ def _make_unit(seen: _Float32) -> float:
 
 
 @part
-def _differentiate(wide: _Float32, grey: _Float32, steepest: _Float32) -> None:
-    """The patch `grey` (PADDED,) inside the wide one, and its derivatives `steepest` (6, PADDED) by
-    a shift and by the warp's four numbers times the radius."""
+def _differentiate(wide: _Float32, grey: _Float32, slope: _Float32) -> None:
+    """The patch `grey` (PADDED,) inside the wide one, and its derivatives `slope` (2, PADDED)."""
     half = np.float32(0.5)
-    grey[PIXELS:], steepest[:, PIXELS:] = 0.0, 0.0
+    grey[PIXELS:], slope[:, PIXELS:] = 0.0, 0.0
     for i in range(SIDE):
         for j in range(SIDE):
             m = i * SIDE + j
             grey[m] = wide[i + 1, j + 1]
-            by_u = half * (wide[i + 1, j + 2] - wide[i + 1, j])
-            by_v = half * (wide[i + 2, j + 1] - wide[i, j + 1])
-            x, y = OFFSET_U[m] / np.float32(RADIUS), OFFSET_V[m] / np.float32(RADIUS)
-            steepest[0, m], steepest[1, m] = by_u, by_v
-            steepest[2, m], steepest[3, m] = by_u * x, by_u * y
-            steepest[4, m], steepest[5, m] = by_v * x, by_v * y
+            slope[0, m] = half * (wide[i + 1, j + 2] - wide[i + 1, j])
+            slope[1, m] = half * (wide[i + 2, j + 1] - wide[i, j + 1])
 
 
 @reordered_part
-def _without_gain(row: _Float32, grey: _Float32, norm: float) -> None:
-    """A derivative (PADDED,) of the unit patch, in place: without what a gain or an offset does."""
-    scale, mean, along = np.float32(1.0 / norm), np.float32(0.0), np.float32(0.0)
+def _steepest(slope: _Float32, share: _Float32, out: _Float32) -> None:
+    """A derivative (PADDED,) by a number of the warp: that by a shift times the pixel's place."""
     for m in range(PADDED):
-        mean += ROOT_WEIGHT[m] * ROOT_WEIGHT[m] * row[m]
+        out[m] = slope[m] * share[m]
+
+
+@reordered_part
+def _without_gain(row: _Float32, grey: _Float32, gain: _Float32) -> None:
+    """Take what an offset and a gain do off a derivative (PADDED,), in place; fill them (2,)."""
+    mean, along = np.float32(0.0), np.float32(0.0)
     for m in range(PADDED):
-        row[m] = scale * ROOT_WEIGHT[m] * (row[m] - mean)
+        mean += ROOT_WEIGHT[m] * row[m]
+    for m in range(PADDED):
+        row[m] -= mean * ROOT_WEIGHT[m]
         along += row[m] * grey[m]
     for m in range(PADDED):
         row[m] -= along * grey[m]
+    gain[0], gain[1] = mean, along
+
+
+@reordered_part
+def _weigh(row: _Float32, scale: float) -> None:
+    """Weight and scale (PADDED,), in place."""
+    factor = np.float32(scale)
+    for m in range(PADDED):
+        row[m] *= factor * ROOT_WEIGHT[m]
 
 
 @reordered_part
@@ -289,24 +315,29 @@ def _dot(a: _Float32, b: _Float32) -> float:
 
 @part
 def cut_patch(
-    words: Quads, u: float, v: float, wide: _Float32,
-    grey: _Float32, steepest: _Float32, inverse: _Float32, damping: float,
-) -> None:  # fmt: skip
-    """Fill `grey` (PADDED,), `steepest` (6, PADDED), `inverse` (6, 6) with the patch at (u, v).
+    words: Quads, u: float, v: float, wide: _Float32, rows: _Float32, patch: Patch, damping: float
+) -> None:
+    """Fill a patch with that at (u, v) of an image.
 
-    `wide` (SIDE + 2, SIDE + 2) to work in. `damping`, a share of the mean curvature, keeps texture
-    along one direction from running away along the other.
+    `wide` (SIDE + 2, SIDE + 2) and `rows` (6, PADDED) to work in. `damping`, a share of the mean
+    curvature, keeps texture along one direction from running away along the other.
     """
+    grey, slope, gain, inverse = patch
     _cut_wide(words, u, v, wide)
-    _differentiate(wide, grey, steepest)
+    _differentiate(wide, grey, slope)
     norm = _make_unit(grey)
+    for k in range(2):
+        _weigh(slope[k], 1.0 / norm)
+        rows[k] = slope[k]
+        _steepest(slope[k], _SHARE_U, rows[2 + 2 * k])
+        _steepest(slope[k], _SHARE_V, rows[3 + 2 * k])
     for k in range(6):
-        _without_gain(steepest[k], grey, norm)
+        _without_gain(rows[k], grey, gain[k])
     H = np.empty((6, 6))
     trace = 0.0
     for i in range(6):
         for k in range(i + 1):
-            H[i, k] = H[k, i] = _dot(steepest[i], steepest[k])
+            H[i, k] = H[k, i] = _dot(rows[i], rows[k])
         trace += H[i, i]
     for i in range(6):
         H[i, i] += damping * trace / 6.0 + 1e-9

@@ -8,28 +8,21 @@ therefore keeps its first patch, and every match is refined against it under an 
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from ovmot.frontend.feature_kernel import cut_patches_compiled
-from ovmot.frontend.patch_kernel import PADDED, Quads
+from ovmot.frontend.patch_kernel import PADDED, Patch, Quads
 from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
-
-_Float32 = npt.NDArray[np.float32]
 
 
 class PatchStore:
     """The patches of one camera's features, each in a slot that its feature keeps.
 
-    `grey` (S, PADDED), weighted, of zero mean and unit norm; `steepest` (S, 6, PADDED), its
-    derivative by a shift (2) and by the warp's four numbers times the radius; `inverse` (S, 6, 6)
-    of the curvature; `warp` (S, 2, 2): an offset x in the patch is now seen at uv + warp x;
-    `is_new` (S,): cut in the newest image.
+    `patches`: S of them in each array of a `Patch`; `warp` (S, 2, 2): an offset x in the patch is
+    now seen at uv + warp x; `is_new` (S,): cut in the newest image.
     """
 
     def __init__(self) -> None:
-        self.grey: _Float32 = np.empty((0, PADDED), dtype=np.float32)
-        self.steepest: _Float32 = np.empty((0, 6, PADDED), dtype=np.float32)
-        self.inverse: _Float32 = np.empty((0, 6, 6), dtype=np.float32)
+        self.patches = no_patches()
         self.warp: FloatArray = np.empty((0, 2, 2))
         self.is_new: BoolArray = np.empty(0, dtype=np.bool_)
         self._in_use: BoolArray = np.empty(0, dtype=np.bool_)
@@ -51,7 +44,7 @@ class PatchStore:
         `damping`, a share of the mean curvature, keeps texture along one direction from running
         away along the other.
         """
-        cut_patches_compiled(words, uv, slot, self.grey, self.steepest, self.inverse, damping)
+        cut_patches_compiled(words, uv, slot, self.patches, damping)
         self.warp[slot] = np.eye(2)
         self.is_new[slot] = True
 
@@ -67,6 +60,11 @@ class PatchStore:
         def grown(values: AnyArray) -> AnyArray:
             return np.concatenate([values, np.zeros((more, *values.shape[1:]), values.dtype)])
 
-        self.grey, self.steepest = grown(self.grey), grown(self.steepest)
-        self.inverse, self.warp = grown(self.inverse), grown(self.warp)
+        self.patches, self.warp = Patch(*map(grown, self.patches)), grown(self.warp)
         self.is_new, self._in_use = grown(self.is_new), grown(self._in_use)
+
+
+def no_patches() -> Patch:
+    """Arrays of no patch."""
+    shapes = (0, PADDED), (0, 2, PADDED), (0, 6, 2), (0, 6, 6)
+    return Patch(*(np.empty(shape, dtype=np.float32) for shape in shapes))
