@@ -6,14 +6,12 @@ import pytest
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar import (
+    SCALES,
     epipolar_lines,
     gate_matches,
     match_sigma,
     no_matches,
-    scale_by_angle,
-    scale_by_fy,
     two_view_inliers,
-    without_rejected,
 )
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
@@ -60,7 +58,7 @@ def gate(rig: StereoRig, pixels: FloatArray, settings: EpipolarSettings) -> Ster
     normalized = np.concatenate(
         [rig.cam0.normalize(pixels[:, :2]), rig.cam1.normalize(pixels[:, 2:])], axis=1
     )
-    return gate_matches(np.arange(len(pixels)), pixels, normalized, rig, settings)
+    return gate_matches(np.arange(len(pixels)), pixels, normalized, rig, settings)[1]
 
 
 def along_normals(rig: StereoRig, pixels: FloatArray, off: FloatArray) -> FloatArray:
@@ -139,18 +137,26 @@ def test_the_scales_differ_on_sloped_lines_by_their_definition() -> None:
     expected = 1.4 * np.hypot(a / 420.0, b / 310.0) * 310.0
     np.testing.assert_allclose(by_fy.distance_px, expected, atol=1e-6)
     assert np.abs(by_fy.distance_px - by_angle.distance_px).max() > 0.1
-    np.testing.assert_allclose(scale_by_fy(by_fy.line, rig.cam1), 1.0 / 310.0)
-    np.testing.assert_allclose(
-        scale_by_angle(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), rig.cam1), [1 / 420, 1 / 310]
-    )
+    np.testing.assert_array_equal(SCALES["fy"](rig.cam1), [310.0, 310.0])
+    np.testing.assert_array_equal(SCALES["angle"](rig.cam1), [420.0, 310.0])
 
 
-@pytest.mark.parametrize("column", range(4))
+@pytest.mark.parametrize("column", [1, 3])
 def test_nan_is_rejected(column: int) -> None:
     rig = rotated_rig("radtan")
     pixels = true_matches(rig)[:5]
     pixels[2, column] = np.nan
     assert gate(rig, pixels, ANGLE).accepted.tolist() == [True, True, False, True, True]
+
+
+@pytest.mark.parametrize("camera", [0, 1])
+def test_what_one_camera_does_not_see_is_not_tested(camera: int) -> None:
+    rig = rotated_rig("radtan")
+    pixels = true_matches(rig)[:5]
+    pixels[2, 2 * camera : 2 * camera + 2] = np.nan
+    matches = gate(rig, pixels, ANGLE)
+    assert matches.feature_id.tolist() == [0, 1, 3, 4]
+    np.testing.assert_array_equal(matches.pixels, np.delete(pixels, 2, axis=0))
 
 
 def test_a_pixel_past_the_lens_s_fold_is_rejected() -> None:
@@ -174,8 +180,10 @@ def test_a_rejected_match_loses_its_right_half_only() -> None:
     rig = level_rig()
     pixels = true_matches(rig)[:4]
     pixels[1, 3] += 10.0
-    matches = gate(rig, pixels, ANGLE)
-    out = without_rejected(pixels, matches)
+    gated, _ = gate_matches(np.arange(4), pixels, rig.normalize(pixels), rig, ANGLE)
+    out = gated.pixels
+    assert np.isnan(gated.normalized[:, 2]).tolist() == [False, True, False, False]
+    assert np.isnan(gated.p_cam0).any(axis=1).tolist() == [False, True, False, False]
     np.testing.assert_array_equal(out[:, :2], pixels[:, :2])
     assert np.isnan(out[:, 2]).tolist() == [False, True, False, False]
     assert np.isnan(out[:, 3]).tolist() == [False, True, False, False]

@@ -11,6 +11,7 @@ import numpy as np
 
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
+from ovmot.frontend.epipolar_kernel import GatedPairs, gate_pairs_compiled
 from ovmot.frontend.two_view_kernel import agree_with_translation_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.physics import LEAST_MATCH_SIGMA_PX
@@ -31,23 +32,22 @@ def epipolar_lines(normalized_left: FloatArray, essential: FloatArray) -> FloatA
     return unit
 
 
-def scale_by_angle(lines: FloatArray, camera: Camera) -> FloatArray:
-    """Normalized length of one pixel along the normal of each line (N, 3):
-    √((n_x/fx)² + (n_y/fy)²), (N,)."""
-    scale: FloatArray = np.hypot(lines[..., 0] / camera.fx, lines[..., 1] / camera.fy)
-    return scale
+def focal_lengths(camera: Camera) -> FloatArray:
+    """(fx, fy): a distance in the normalized plane has the pixels that its normal gives it."""
+    return np.array([camera.fx, camera.fy])
 
 
-def scale_by_fy(lines: FloatArray, camera: Camera) -> FloatArray:
-    """Normalized length of one pixel, 1/fy for every line (N, 3): right for horizontal lines."""
-    return np.full(lines.shape[:-1], 1.0 / camera.fy)
+def focal_length_of_rows(camera: Camera) -> FloatArray:
+    """(fy, fy): the same for any line, which is right for horizontal ones."""
+    return np.array([camera.fy, camera.fy])
 
 
-SCALES: dict[str, Callable[[FloatArray, Camera], FloatArray]] = {
-    "angle": scale_by_angle,
-    "fy": scale_by_fy,
+SCALES: dict[str, Callable[[Camera], FloatArray]] = {
+    "angle": focal_lengths,
+    "fy": focal_length_of_rows,
 }
-"""From pixels to the normalized plane, by the setting `epipolar.scale`."""
+"""What the unit normal (a, b) of a line is divided by, component by component: the length of the
+quotient is that of a pixel along the normal. By the setting `epipolar.scale`."""
 
 
 def gate_matches(
@@ -56,32 +56,27 @@ def gate_matches(
     normalized: FloatArray,
     rig: StereoRig,
     settings: EpipolarSettings,
-) -> StereoMatches:
-    """Test N stereo matches, given as pixels (N, 4) and normalized coordinates (N, 4).
+) -> tuple[GatedPairs, StereoMatches]:
+    """Test the stereo matches among N features: the features after it, and the tested matches.
 
-    Accepted are those at most `threshold_px` from their line; a match without finite coordinates
-    (outside the camera model) is rejected.
+    `pixels`, `normalized` (N, 4): the right half NaN where there is no match. Accepted are those at
+    most `threshold_px` from their line; a match without finite coordinates (outside the camera
+    model) is rejected.
     """
-    lines = epipolar_lines(normalized[:, :2], rig.essential)
-    right = normalized[:, 2:]
-    off = np.abs((lines[:, :2] * right).sum(-1) + lines[:, 2])
-    distance = off / SCALES[settings.scale](lines, rig.cam1)
-    with np.errstate(invalid="ignore"):
-        accepted = distance <= settings.threshold_px
-    return StereoMatches(feature_id, pixels, distance, accepted, lines)
+    gated = gate_pairs_compiled(
+        pixels, normalized, rig.essential, SCALES[settings.scale](rig.cam1),
+        settings.threshold_px, np.ascontiguousarray(rig.T_cam1_cam0),
+    )  # fmt: skip
+    tested = gated.tested
+    return gated, StereoMatches(
+        feature_id[tested], pixels[tested], gated.distance_px, gated.accepted, gated.line
+    )
 
 
 def no_matches() -> StereoMatches:
     """Of a frame without stereo matches."""
     ids, nothing = np.empty(0, dtype=np.int64), np.empty((0, 4))
     return StereoMatches(ids, nothing, nothing[:, 0], ids > 0, nothing[:, :3])
-
-
-def without_rejected(values: FloatArray, matches: StereoMatches) -> FloatArray:
-    """Pixels or normalized coordinates (N, 4), the right half NaN where the match was rejected."""
-    out = values.copy()
-    out[~matches.accepted, 2:] = np.nan
-    return out
 
 
 def match_sigma(matches: StereoMatches, *, tails: float = 1.5, min_matches: int = 20) -> float:

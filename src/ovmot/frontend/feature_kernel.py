@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from ovmot.frontend.epipolar_kernel import is_free
 from ovmot.frontend.klt_kernel import LANES, MAX_ROUND_TRIP_PX, flow_there_and_back
 from ovmot.frontend.patch_kernel import (
     MARGIN,
@@ -156,20 +157,14 @@ def keep_found(
 ) -> tuple[IntArray, BoolArray]:  # fmt: skip
     """Which features (M,) of N go on, and of which the patch is stale (M,).
 
-    Those that are `found` (N,) at pixels `uv` (N, 2) at least `border_px` inside the image of this
-    size, where `mask` is zero (of its size, or empty), and within the camera model: normalized
-    coordinates `xy` (N, 2) are known. A patch is stale that does not fit, `fits` (N,), or that its
-    `warp` (N, 2, 2) shows larger or smaller by more than `max_scale`.
+    Those that are `found` (N,) at pixels `uv` (N, 2) that are `is_free`, and within the camera
+    model: normalized coordinates `xy` (N, 2) are known. A patch is stale that does not fit, `fits`
+    (N,), or that its `warp` (N, 2, 2) shows larger or smaller by more than `max_scale`.
     """
     row, stale, count = np.empty(len(uv), np.int64), np.empty(len(uv), np.bool_), 0
     for n in range(len(uv)):
-        u, v = uv[n]
-        inside = (
-            border_px <= u <= width - 1 - border_px and border_px <= v <= height - 1 - border_px
-        )
-        if not (found[n] and inside and math.isfinite(xy[n, 0])):
-            continue
-        if len(mask) and mask[int(np.rint(v)), int(np.rint(u))] != 0:
+        free = is_free(uv[n, 0], uv[n, 1], mask, width, height, border_px)
+        if not (found[n] and free and math.isfinite(xy[n, 0])):
             continue
         row[count] = n
         stale[count] = not fits[n] or _is_rescaled(warp[n], max_scale)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
-from ovmot.frontend.epipolar import gate_matches, two_view_inliers, without_rejected
+from ovmot.frontend.epipolar import gate_matches, two_view_inliers
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.interfaces import Feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
@@ -81,14 +81,9 @@ class GivenFeatures:
         of_left = np.isfinite(pixels[:, 0])
         known = np.isfinite(np.where(of_left, normalized[:, 0], normalized[:, 2]))
         ids, pixels, normalized = ids[known], pixels[known], normalized[known]
-        paired = np.isfinite(pixels[:, [0, 2]]).all(axis=1)
-        matches = gate_matches(
-            ids[paired], pixels[paired], normalized[paired], self._rig, self._epipolar
-        )
-        pixels[paired] = without_rejected(pixels[paired], matches)
-        normalized[paired] = without_rejected(normalized[paired], matches)
+        gated, matches = gate_matches(ids, pixels, normalized, self._rig, self._epipolar)
         self._before = self._with_history(
-            frame.timestamp_ns, ids, pixels, normalized, T_now_before[:3, :3]
+            frame.timestamp_ns, ids, gated.pixels, gated.normalized, T_now_before[:3, :3]
         )
         return self._before, matches
 

@@ -10,6 +10,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.corners import fine_cell_px, focus_mask
 from ovmot.frontend.epipolar import gate_matches, no_matches
+from ovmot.frontend.epipolar_kernel import GatedPairs, pair_up_compiled
 from ovmot.frontend.feature_search import Sought, find_features, near_levels, recover_lost
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
 from ovmot.frontend.pictures import LastPictures, Pictures, judge_pictures
@@ -19,7 +20,6 @@ from ovmot.frontend.preprocessing import LEFT, RIGHT, View, preprocess
 from ovmot.frontend.right_alone import RightAlone, RightView
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import positions
-from ovmot.geometry.triangulation import triangulate_stereo
 from ovmot.interfaces import Feedback
 from ovmot.physics import PIXEL_SIGMA
 from ovmot.runtime import helping_thread
@@ -123,8 +123,8 @@ class StereoTracker:
             normalized = np.concatenate([points.xy, unseen], axis=1)
             self._p_cam0 = carried_positions(last, points, p_before, T_now_before)
         else:
-            pixels, normalized, matches = self._match_right(left, right, points, cell_px)
-            self._p_cam0 = triangulate_stereo(normalized, self._rig.T_cam1_cam0)
+            gated, matches = self._match_right(left, right, points, cell_px)
+            pixels, normalized, self._p_cam0 = gated.pixels, gated.normalized, gated.p_cam0
         self._last_right = (
             None if right is None else RightView(right, points, pixels, normalized, self._p_cam0)
         )
@@ -152,9 +152,8 @@ class StereoTracker:
 
     def _match_right(
         self, left: View, right: View, points: TrackedPoints, cell_px: int
-    ) -> tuple[FloatArray, FloatArray, StereoMatches]:
-        """Pixels and normalized coordinates (N, 4), with accepted right halves only, and all
-        tested pairs."""
+    ) -> tuple[GatedPairs, StereoMatches]:
+        """The features, with accepted right halves only, and all tested pairs."""
         # predict the right position by the depth of the point, or of those around it; where none
         # is known, by a disparity of half a fine cell
         default = self._rig.baseline * left.camera.fx / (0.5 * cell_px)
@@ -169,15 +168,10 @@ class StereoTracker:
         no_other, far = np.empty((0, *start.shape)), start.copy()
         far[points.track_length > 0] = np.nan
         seen = recover_lost(sought, right, first, no_other, far, self._settings, self._helper)
-        ok = seen.found & right.contains(seen.uv)
+        camera = right.camera
+        pixels, normalized = pair_up_compiled(
+            points.uv, points.xy, seen.uv, camera.normalize(seen.uv), seen.found,
+            right.compact_mask, camera.width, camera.height, right.pyramid.window // 2,
+        )  # fmt: skip
         # epipolar gate on every pair
-        pixels, normalized = np.full((len(points), 4), np.nan), np.empty((len(points), 4))
-        pixels[:, :2], pixels[ok, 2:] = points.uv, seen.uv[ok]
-        normalized[:, :2], normalized[:, 2:] = points.xy, right.camera.normalize(pixels[:, 2:])
-        tested = np.flatnonzero(ok)
-        matches = gate_matches(
-            points.feature_id[tested], pixels[tested], normalized[tested], self._rig, self._epipolar
-        )
-        rejected = tested[~matches.accepted]
-        pixels[rejected, 2:] = normalized[rejected, 2:] = np.nan
-        return pixels, normalized, matches
+        return gate_matches(points.feature_id, pixels, normalized, self._rig, self._epipolar)
