@@ -3,12 +3,15 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend import klt_tracker, stereo_tracker
+from ovmot.frontend.epipolar import gate_matches
+from ovmot.frontend.epipolar_kernel import GatedPairs
 from ovmot.frontend.feature_search import Found, Sought, find_features
 from ovmot.frontend.preprocessing import View, build_pyramid
 from ovmot.frontend.stereo_tracker import StereoTracker
@@ -256,24 +259,21 @@ def test_no_rejected_match_leaves_the_tracker(painted_rig: StereoRig, painted_pa
 def test_a_rejected_match_gives_no_depth_to_the_next_frame(
     painted_rig: StereoRig, painted_pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    used: list[FloatArray] = []
+    used: list[BoolArray] = []
 
-    def spy(normalized: FloatArray, T_cam1_cam0: FloatArray) -> FloatArray:
-        used.append(normalized)
-        return triangulate_stereo(normalized, T_cam1_cam0)
+    def spy(*args: Any) -> tuple[GatedPairs, StereoMatches]:
+        gated, matches = gate_matches(*args)
+        used.append(np.isfinite(gated.p_cam0).all(axis=1)[gated.tested])
+        return gated, matches
 
-    monkeypatch.setattr(stereo_tracker, "triangulate_stereo", spy)
+    monkeypatch.setattr(stereo_tracker, "gate_matches", spy)
     driven = drive(painted_rig, painted_pair, lift=6)
-    right = {
-        tuple(xy)
-        for seen, matches in driven
-        for xy in painted_rig.cam1.normalize(matches.pixels[~matches.accepted, 2:]).tolist()
-    }
-    given = {tuple(pair[2:]) for normalized in used for pair in normalized.tolist()}
     assert len(used) == len(driven)
-    assert len(right) > 40
-    assert len({xy for xy in given if np.isfinite(xy[0])}) > 40
-    assert not right & given
+    placed = np.concatenate(used)
+    accepted = np.concatenate([matches.accepted for _, matches in driven])
+    assert (~accepted).sum() > 40
+    assert placed.sum() > 40
+    assert not (placed & ~accepted).any()
 
 
 def test_wrong_matches_of_any_kind_are_rejected(

@@ -43,14 +43,15 @@ def _most(a: int, b: int) -> int:
 @part
 def _flag_row(
     up: tuple[Image, Image, Image], row: Image, down: tuple[Image, Image, Image],
-    threshold: int, flags: _Bytes,
+    room: tuple[Image, Image, Image], threshold: int, flags: _Bytes,
 ) -> None:  # fmt: skip
     """Flag (width - 6,) the pixels of a row, from the fourth one on, that may be corners.
 
     `up`, `down`: the rows at distances 1 to 3. Nine in a row of 16 hold an end of each diameter:
     the least of the brighter ends is brighter than the pixel, or the greatest of the darker ones is
-    darker.
+    darker. `room`: its rows above, here and below; a pixel is in it or beside it.
     """
+    above, here, below = room
     u1, u2, u3 = up
     d1, d2, d3 = down
     zero, white, t = np.int16(0), np.int16(255), np.int16(threshold)
@@ -72,19 +73,9 @@ def _flag_row(
         dark = _most(dark, _least(d2[u + 5], u2[u + 1]))
         bright = _least(bright, _most(d3[u + 4], u3[u + 2]))
         dark = _most(dark, _least(d3[u + 4], u3[u + 2]))
-        flags[u] = np.uint8((bright > high) | (dark < low))
-
-
-@part
-def _is_near(room: Image, v: int, u: int) -> bool:
-    """Is a pixel, or one of the eight around it, in the room?"""
-    if room[v, u] != 0:
-        return True
-    for i in range(v - 1, v + 2):
-        for j in range(u - 1, u + 2):
-            if room[i, j] != 0:
-                return True
-    return False
+        near = above[u + 2] | above[u + 3] | above[u + 4] | here[u + 2] | here[u + 3]
+        near = near | here[u + 4] | below[u + 2] | below[u + 3] | below[u + 4]
+        flags[u] = np.uint8(((bright > high) | (dark < low)) & (near != 0))
 
 
 @part
@@ -92,19 +83,18 @@ def _candidates(image: Image, room: Image, threshold: int) -> IntArray:
     """Pixels (K,), in an image of one line, that may be corners, in the room or beside it."""
     height, width = image.shape
     flags, count = np.zeros(-(-width // _WORD), dtype=np.int64), 0
-    flag, found = flags.view(np.uint8), np.empty(image.size, dtype=np.int64)
+    flag, found = flags.view(np.uint8), np.empty(image.size + _WORD, dtype=np.int64)
     for v in range(_REACH, height - _REACH):
         _flag_row(
             (image[v - 1], image[v - 2], image[v - 3]), image[v],
-            (image[v + 1], image[v + 2], image[v + 3]), threshold, flag,
+            (image[v + 1], image[v + 2], image[v + 3]),
+            (room[v - 1], room[v], room[v + 1]), threshold, flag,
         )  # fmt: skip
         for word in range(len(flags)):
-            if flags[word] == 0:
-                continue
-            for k in range(word * _WORD, (word + 1) * _WORD):
-                if flag[k] != 0 and _is_near(room, v, k + _REACH):
-                    found[count] = v * width + k + _REACH
-                    count += 1
+            if flags[word] != 0:
+                for k in range(word * _WORD, (word + 1) * _WORD):
+                    found[count] = v * width + k + _REACH  # kept where it is flagged
+                    count += flag[k]
     return found[:count]
 
 
