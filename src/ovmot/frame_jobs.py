@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ovmot.errors import OvmotError
 from ovmot.interfaces import Feedback, OdometrySource
-from ovmot.runtime import Stopwatch, helping_thread
+from ovmot.runtime import CallingThread, Stopwatch, helping_thread
 from ovmot.types import FrameResult, FrontendFrame, StereoMatches
 
 
@@ -51,6 +51,12 @@ class FrameJobs:
         self._before_all = before_all
         self._last_two: deque[Future[Step]] = deque(maxlen=2)
         self._unreturned: deque[Future[Step]] = deque()
+
+    def prepare(self, work: Callable[[], None]) -> None:
+        """Let the thread of the later stages do some work before its first frame: it waits for the
+        front end at first. With one thread, nothing is done ahead."""
+        if not isinstance(self._later, CallingThread):
+            self._later.submit(work)
 
     def known(self) -> Known:
         """What was known after the frame before the last one begun; waits for it."""

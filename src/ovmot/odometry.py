@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from ovmot.interfaces import (
     check_event,
     no_feedback,
 )
+from ovmot.kernels.cache import load_kept
 from ovmot.objects.moving_objects import MovingObjects
 from ovmot.physics import MEMS_NOISE, PIXEL_SIGMA
 from ovmot.runtime import Stopwatch
@@ -64,6 +66,8 @@ IMU_KEPT_NS = 1_000_000_000
 """IMU samples kept behind the newest frame, on the IMU's clock."""
 
 _NOISE_GAIN = 0.1  # of a new frame, in the averaged noise of matches
+
+_LATER_STAGES = ("kernels", "geometry", "vio", "segmentation", "objects")  # folders of kernels
 
 STAGES = ("initialize", "propagate", "track", "segment", "update", "objects", "marginalize")
 
@@ -126,6 +130,7 @@ class Odometry:
         self._last_frame_ns: int | None = None  # added
         self._begun_ns: int | None = None  # the last frame that is worked on
         self._jobs = FrameJobs(threads, Known(None, no_feedback(rig), None))
+        self._jobs.prepare(partial(load_kept, _LATER_STAGES))
         self._on_result = on_result
         self.dropped = 0
         # the later stages'

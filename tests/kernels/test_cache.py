@@ -28,19 +28,31 @@ kernel = compiled(small.kernel, code_folder(Path(small.__file__)))
 assert kernel(20) == small.kernel(20)
 print(sum(kernel.stats.cache_hits.values()), kernel(20))
 """
+AHEAD = """
+import sys
+from pathlib import Path
+from ovmot.kernels.cache import code_folder, compiled, load_kept
+import small
+small.compiled_kernel = compiled(small.kernel, code_folder(Path(small.__file__)))
+sys.modules["ovmot.trial.small"] = small
+load_kept(("other",))
+before = len(small.compiled_kernel.signatures)
+load_kept(("trial", "missing"))
+print(before, len(small.compiled_kernel.signatures), small.compiled_kernel(20))
+"""
 KERNEL = (
     "def kernel(n):\n    total = 0\n    for i in range(n):\n        total += {}\n    return total\n"
 )
 
 
-def run(folder: Path, cache: Path, **extra: str) -> str:
-    """Hits in the cache and the kernel's value, of a process of its own."""
+def run(folder: Path, cache: Path, script: str = SCRIPT, **extra: str) -> str:
+    """What a script prints: hits in the cache and the kernel's value, of a process of its own."""
     source = Path(ovmot.__file__).parents[1]
     path = os.pathsep.join([str(folder), str(source)])
     own = {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
     environment = {**os.environ, **own, **extra}
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True, text=True
+        [sys.executable, "-c", script], env=environment, check=True, capture_output=True, text=True
     )
     assert done.stderr == ""
     return done.stdout.strip()
@@ -58,6 +70,16 @@ def test_a_second_process_finds_the_code(folder: Path, tmp_path: Path) -> None:
     assert run(folder, cache) == "1 2470"
     (entry,) = (cache / "ovmot").iterdir()
     assert entry.name.startswith("small-")
+
+
+def test_what_is_kept_is_loaded_ahead(folder: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert run(folder, cache, AHEAD) == "0 0 2470"
+    assert run(folder, cache, AHEAD) == "0 1 2470"
+    assert run(folder, cache, AHEAD, NUMBA_CPU_NAME="nehalem") == "0 0 2470"
+    for index in (cache / "ovmot").rglob("*.nbi"):
+        index.write_bytes(b"spoilt")
+    assert run(folder, cache, AHEAD) == "0 0 2470"
 
 
 def test_another_source_is_compiled_anew(folder: Path, tmp_path: Path) -> None:

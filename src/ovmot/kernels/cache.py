@@ -110,6 +110,21 @@ def _njit(
     return cast(_F, decorate(function))
 
 
+def load_kept(folders: tuple[str, ...]) -> None:
+    """Load what is kept of the kernels imported so far from these folders of the package.
+
+    Code is else loaded at its first call, some 10 ms for each kernel: the frame in which something
+    happens for the first time would be late.
+    """
+    names = tuple(f"ovmot.{folder}." for folder in folders)
+    modules = [module for name, module in list(sys.modules.items()) if name.startswith(names)]
+    for value in [value for module in modules for value in vars(module).values()]:
+        cache = getattr(value, "_cache", None)
+        if isinstance(cache, _Forgiving):
+            for signature in cache.kept(value.targetctx):
+                value.compile(signature)
+
+
 def code_folders(package: Path) -> list[Path]:
     """Those of all `*_kernel.py` of this folder, as far as they can be made."""
     folders = (code_folder(source) for source in package.rglob("*_kernel.py"))
@@ -170,6 +185,15 @@ class _Forgiving:
             return self._inner.load_overload(signature, target_context)
         except Exception:  # whatever unpickling spoilt bytes may raise
             return None
+
+    def kept(self, target_context: Any) -> list[Any]:
+        """The signatures for which this source's code for this processor is kept."""
+        try:
+            keys = list(self._inner._cache_file._load_index())
+        except Exception:  # spoilt bytes
+            return []
+        key_of, codegen = self._inner._index_key, target_context.codegen()
+        return [key[0] for key in keys if key == key_of(key[0], codegen)]
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Keep compiled code, if that can be done."""
