@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernels.cache import part, reordered_part
+from ovmot.kernels.cache import inlined_part, inlined_reordered_part, part, reordered_part
 from ovmot.kernels.small_matrices import invert_definite
 
 _Float32 = npt.NDArray[np.float32]
@@ -85,7 +85,7 @@ def make_room() -> Room:
     )  # fmt: skip
 
 
-@reordered_part
+@inlined_reordered_part
 def _locate(u: float, v: float, warp: FloatArray, stride: int, room: Room) -> None:
     """Fill `place`, `a` and `b` of the room for the pixels at (u, v) + warp x of all offsets x,
     with (u, v) relative to a corner that leaves all of them positive: single precision is enough.
@@ -102,14 +102,14 @@ def _locate(u: float, v: float, warp: FloatArray, stride: int, room: Room) -> No
         place[m] = np.int32(row * row_length + column)
 
 
-@part
+@inlined_part
 def _load(words: Quads, corner: int, room: Room) -> None:
     """Fill `quad` of the room by the words at `place`, counted from `corner`."""
     for m in range(PADDED):
         room.quad[m] = words[np.uint64(corner + room.place[m])]
 
 
-@reordered_part
+@inlined_reordered_part
 def _sum_up(room: Room, centre: float, grey: _Float32, slope: _Float32, gain: _Float32) -> None:
     """Fill `sums` of the room: of weighted grey levels with the patch's derivatives (6), with the
     weight, with themselves and with the patch; less `centre`, which keeps them small."""
@@ -142,7 +142,7 @@ def _sum_up(room: Room, centre: float, grey: _Float32, slope: _Float32, gain: _F
         sums[k] -= gain[k, 0] * mean + gain[k, 1] * product
 
 
-@part
+@inlined_part
 def _compare(words: Quads, u: float, v: float, warp: FloatArray, patch: Patch, room: Room) -> float:
     """Correlation of a patch with the image at (u, v) under the warp; the gradient in `sums[:6]`.
 
@@ -169,7 +169,7 @@ def _compare(words: Quads, u: float, v: float, warp: FloatArray, patch: Patch, r
     return float(sums[8] / norm)
 
 
-@part
+@inlined_part
 def _multiply(matrix: _Float32, vector: FloatArray, out: FloatArray) -> None:
     """Fill out (6,) = matrix (6, 6) vector (6,)."""
     for j in range(6):
@@ -178,7 +178,7 @@ def _multiply(matrix: _Float32, vector: FloatArray, out: FloatArray) -> None:
             out[j] += matrix[j, k] * vector[k]
 
 
-@part
+@inlined_part
 def _compose(uv: FloatArray, warp: FloatArray, step: FloatArray) -> bool:
     """Inverse composition, in place: warp <- warp (I + A)⁻¹, uv <- uv - warp b; False where
     I + A is singular. `step` (6,) is b and the rows of A times the radius."""

@@ -67,6 +67,11 @@ def inlined_part(function: _F) -> _F:
     return cast(_F, _Part(function, inline=True))
 
 
+def inlined_reordered_part(function: _F) -> _F:
+    """An inlined part whose own sums may be added up in another order: see `compiled`."""
+    return cast(_F, _Part(function, reorder=True, inline=True))
+
+
 class _Part:
     """A function compiled for kernels, without what Python needs to call it.
 
