@@ -33,7 +33,6 @@ from ovmot.types import (
     no_features,
 )
 
-
 _RETRIED_FRAMES = 4
 """A feature without a match so far is tried in one of so many frames: most are hidden from the
 right camera, or beyond its picture, and stay so."""
