@@ -27,9 +27,10 @@ def test_drawn_measurements_pass_at_the_stated_rate() -> None:
     assert passed == pytest.approx(0.99, abs=1e-3)
 
 
-def test_gates_of_an_array_are_those_of_its_elements() -> None:
-    dof = np.array([1.0, 4.0, 9.0])
-    np.testing.assert_allclose(gates(dof, 0.99), [gate(int(d), 0.99) for d in dof], rtol=1e-12)
+def test_gates_of_many_degrees_of_freedom_are_those_of_each() -> None:
+    expected = [gate(max(dof, 1), 0.99) for dof in range(10)]
+    np.testing.assert_allclose(gates(9, 0.99), expected, rtol=1e-12)
+    assert not gates(9, 0.99).flags.writeable
 
 
 def test_a_car_is_a_vehicle() -> None:

@@ -164,7 +164,7 @@ def check_event(event: Event, rig: StereoRig) -> None:
         raise DatasetError(f"stamp {stamp!r}: write it as a whole number of ns")
     if isinstance(event, ImuSample):
         for name, reading in (("gyro", event.gyro), ("accel", event.accel)):
-            if np.shape(reading) != (3,) or not all(map(isfinite, reading)):
+            if np.shape(reading) != (3,) or not all(map(isfinite, np.asarray(reading).tolist())):
                 raise DatasetError(f"IMU sample {stamp}: {name} must be three finite numbers")
         return
     if isinstance(event, FeatureFrame):

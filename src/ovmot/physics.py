@@ -112,9 +112,13 @@ def gate(dof: int, probability: float) -> float:
     return float(chdtri(dof, 1.0 - probability))
 
 
-def gates(dof: FloatArray, probability: float) -> FloatArray:
-    """The same for arrays (N,) of degrees of freedom."""
-    return np.asarray(chdtri(dof, 1.0 - probability))
+@lru_cache(maxsize=256)
+def gates(most_dof: int, probability: float) -> FloatArray:
+    """The same for 0 to `most_dof` degrees of freedom (most_dof + 1,), that of 1 for 0."""
+    dof = np.maximum(np.arange(most_dof + 1.0), 1.0)
+    bounds = np.asarray(chdtri(dof, 1.0 - probability))
+    bounds.flags.writeable = False
+    return bounds
 
 
 # The rig.

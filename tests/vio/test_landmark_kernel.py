@@ -52,7 +52,7 @@ def test_the_update_is_that_of_the_plain_twin(state: State, m: int, scale: float
     distance = innovation_distances(P, H, residual)
     gated = chi2_gate(distance, dof, multiplier)
     plain = innovation_consistency(state, H, residual, columns, distance, dof, gated)
-    bounds = multiplier * gates(np.maximum(dof, 1.0), 0.95)
+    bounds = multiplier * gates(4, 0.95)[dof]
     passed, weight, error, covariance = update_by_landmarks_compiled(
         state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
     )

@@ -100,10 +100,11 @@ class Camera:
 
     def normalize(self, pixels: FloatArray) -> FloatArray:
         """Undistorted normalized coordinates (..., 2) of pixels (..., 2); NaN in, NaN out."""
-        fx, fy, cx, cy, skew = self.intrinsics
-        y = (pixels[..., 1] - cy) / fy
-        x = (pixels[..., 0] - cx - skew * y) / fx
-        return self.model.undistort(np.stack([x, y], axis=-1), self.distortion)
+        fx, fy, cx, cy, skew = self.intrinsics.tolist()
+        xy = np.empty(pixels.shape)
+        xy[..., 1] = (pixels[..., 1] - cy) / fy
+        xy[..., 0] = (pixels[..., 0] - cx - skew * xy[..., 1]) / fx
+        return self.model.undistort(xy, self.distortion)
 
     def denormalize(self, xy: FloatArray) -> FloatArray:
         """Pixels (..., 2) of undistorted normalized coordinates (..., 2)."""

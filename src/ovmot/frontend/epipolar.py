@@ -87,11 +87,12 @@ def match_sigma(matches: StereoMatches, *, tails: float = 1.5, min_matches: int 
     least what matching can reach (`physics.LEAST_MATCH_SIGMA_PX`), and wider by `tails`: matches
     have heavier tails than their median shows.
     """
-    distance = matches.distance_px[matches.accepted]
-    if len(distance) < min_matches:
+    distance, n = matches.distance_px[matches.accepted], np.count_nonzero(matches.accepted)
+    if n < min_matches:
         return float("nan")
-    sigma = 1.4826 * float(np.median(distance)) / 2.0**0.5
-    return float(tails * max(sigma, LEAST_MATCH_SIGMA_PX))
+    middle = [(n - 1) // 2, n // 2]
+    median = 0.5 * sum(np.partition(distance, middle)[middle].tolist())
+    return tails * max(1.4826 * median / 2.0**0.5, LEAST_MATCH_SIGMA_PX)
 
 
 def two_view_inliers(

@@ -158,12 +158,11 @@ def consistent_features(
     times the 95 % quantile, then all for consistency (see `innovation_consistency`).
     """
     clones = state.clones
-    n_rows = 4 * pixels.shape[1]
-    bounds = settings.chi2_multiplier * gates(np.maximum(np.arange(n_rows + 1.0), 1.0), 0.95)
+    bounds = settings.chi2_multiplier * gates(4 * pixels.shape[1], 0.95)
     weight, error, covariance, R, E = update_by_features_compiled(
         points, pixels, calibration_jacobians(clones, rig, points, state.calibration),
         se3.inverse(clones.T_world_imu), se3.inverse(clones.T_world_imu_first),
-        se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
+        rig.T_cam_imu, *packed_cameras(rig),
         settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
     )  # fmt: skip
     return ConsistentFeatures(weight, error, covariance, PointRows(R, E))
@@ -218,6 +217,5 @@ def calibration_jacobians(
 
 def _view_poses(T_world_imu: FloatArray, rig: StereoRig) -> FloatArray:
     """T_view_world (2K, 4, 4) of both cameras of each clone, clone by clone."""
-    T_cam_imu = se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1]))
-    T = T_cam_imu[None] @ se3.inverse(T_world_imu)[:, None]
+    T = rig.T_cam_imu[None] @ se3.inverse(T_world_imu)[:, None]
     return np.ascontiguousarray(T.reshape(-1, 4, 4))

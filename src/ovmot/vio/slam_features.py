@@ -76,7 +76,7 @@ def landmark_system(
         latest.p_world, first.p_world, first.by_value, first.by_anchor, first.anchor,
         pixels[:, None], calibration_jacobians(view, rig, first.p_world, state.calibration),
         se3.inverse(view.T_world_imu), se3.inverse(view.T_world_imu_first),
-        se3.inverse(np.stack([rig.T_imu_cam0, rig.T_imu_cam1])), *packed_cameras(rig),
+        rig.T_cam_imu, *packed_cameras(rig),
         sigma_px, len(clones), landmarks.size,
     )  # fmt: skip
 
@@ -96,7 +96,7 @@ def update_slam_features(
     if not len(state.landmarks) or not np.isfinite(pixels).any():
         return state
     H, residual, dof = landmark_system(state, rig, T_imu_anchor, pixels, sigma_px)
-    bounds = chi2_multiplier * gates(np.maximum(dof, 1.0), 0.95)
+    bounds = chi2_multiplier * gates(4, 0.95)[dof]
     passed, weight, error, covariance = update_by_landmarks_compiled(
         state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
     )

@@ -53,11 +53,11 @@ class RadialTangential:
 
     def undistort(self, xy_distorted: FloatArray, coefficients: FloatArray) -> FloatArray:
         xy = np.ascontiguousarray(xy_distorted, dtype=np.float64)
-        five = np.array(_five(coefficients))
-        fold = fold_squared((five[0], five[1], five[4]))
+        k1, k2, p1, p2, k3 = _five(coefficients)
+        five, fold = np.array([k1, k2, p1, p2, k3]), fold_squared((k1, k2, k3))
         return np.asarray(undistort_compiled(xy.reshape(-1, 2), five, fold)).reshape(xy.shape)
 
 
 def _five(coefficients: FloatArray) -> tuple[float, float, float, float, float]:
-    k1, k2, p1, p2 = (float(c) for c in coefficients[:4])
-    return k1, k2, p1, p2, float(coefficients[4]) if len(coefficients) > 4 else 0.0
+    k1, k2, p1, p2, *k3 = coefficients.tolist()
+    return k1, k2, p1, p2, k3[0] if k3 else 0.0
