@@ -118,15 +118,12 @@ def box_plus(state: State, error: FloatArray, covariance: FloatArray | None = No
     `covariance` (N, N): that of the new estimate; None: it stays.
     """
     clones, imu = state.clones, state.imu
-    n = len(clones)
-    poses, errors = np.empty((n + 1, 4, 4)), np.empty((n + 1, CLONE_SIZE))
-    poses[:n], poses[n, :3, :3], poses[n, :3, 3] = clones.T_world_imu, imu.R_world_imu, imu.position
-    errors[:n] = error[state.first_clone : state.first_landmark].reshape(n, CLONE_SIZE)
-    errors[n] = error[THETA.start : POSITION.stop]
-    poses = moved_poses_compiled(poses, errors)
+    poses, R, position = moved_poses_compiled(
+        clones.T_world_imu, imu.R_world_imu, imu.position, error, state.first_clone
+    )
     moved = ImuState(
-        R_world_imu=poses[n, :3, :3].copy(),
-        position=poses[n, :3, 3].copy(),
+        R_world_imu=R,
+        position=position,
         velocity=imu.velocity + error[VELOCITY],
         gyro_bias=imu.gyro_bias + error[GYRO_BIAS],
         accel_bias=imu.accel_bias + error[ACCEL_BIAS],
@@ -136,7 +133,7 @@ def box_plus(state: State, error: FloatArray, covariance: FloatArray | None = No
         moved,
         state.imu_first,
         state.time_offset_s + float(error[TIME_OFFSET]),
-        Clones(clones.timestamp_ns, poses[:n], clones.T_world_imu_first),
+        Clones(clones.timestamp_ns, poses, clones.T_world_imu_first),
         state.covariance if covariance is None else covariance,
         state.calibration.plus(error[state.calibration_columns]),
         state.landmarks.plus(error[state.first_landmark :]),
