@@ -156,8 +156,8 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     first = find_features(sought, view, unknown(points), near_levels(near), CallingThread())
     lost = moved & ~first.found & (points[:, 0] < 240)
     assert lost.sum() > 10
-    starts = (points + shift)[None]
-    again = recover_lost(sought, view, first, starts, points, near, CallingThread())
+    places = np.stack([points + shift, points])
+    again = recover_lost(sought, view, first, places, near, CallingThread())
     np.testing.assert_array_equal(again.uv[first.found], first.uv[first.found])
     off = np.linalg.norm(again.uv - points - shift, axis=1)
     assert (again.found & (off < 0.2))[lost].mean() > 0.8
@@ -165,7 +165,7 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
     flat[:, :150] = target[:, :150]
     view = view_of(flat, near)
     nowhere = find_features(sought, view, unknown(points), near_levels(near), CallingThread())
-    again = recover_lost(sought, view, nowhere, starts, points, near, CallingThread())
+    again = recover_lost(sought, view, nowhere, places, near, CallingThread())
     assert not again.found[points[:, 0] > 170].any()
 
 

@@ -8,8 +8,8 @@ from ovmot.cameras.lens_kernel import packed_camera
 from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians
 from ovmot.frontend.prediction_kernel import (
     LEAST_DEPTH_M,
-    flow_nearby_compiled,
     median_flow_compiled,
+    other_places_compiled,
     predict_matches_compiled,
     predict_tracks_compiled,
 )
@@ -88,16 +88,22 @@ def test_matches(n: int, known: float) -> None:
 
 
 @pytest.mark.parametrize("found_share", [0.0, 0.6, 1.0])
-def test_flow_nearby(found_share: float) -> None:
+def test_other_places(found_share: float) -> None:
     rng = np.random.default_rng(2)
     uv = rng.uniform(0.0, 300.0, (60, 2))
     static_uv, found = uv + 1.0, rng.uniform(size=60) < found_share
     now = static_uv + rng.normal(0.0, 6.0, (60, 2))
     now[~found] = np.nan
-    np.testing.assert_allclose(
-        flow_nearby_compiled(uv, static_uv, now, found, 5.0),
-        flow_nearby_numpy(uv, static_uv, now, found, 5.0),
-    )
+    start = static_uv.copy()
+    start[::3] += [0.0, 2.0]
+    places = other_places_compiled(uv, static_uv, start, now, found, 5.0)
+    np.testing.assert_allclose(places[0], flow_nearby_numpy(uv, static_uv, now, found, 5.0))
+    elsewhere = np.full_like(uv, np.nan)
+    elsewhere[::3] = static_uv[::3]
+    np.testing.assert_array_equal(places[1], elsewhere)
+    assert np.isnan(places[2]).all()
+    far = static_uv if found.mean() < 0.5 else np.full_like(uv, np.nan)
+    np.testing.assert_array_equal(places[3], far)
 
 
 def test_lost_points_are_expected_where_their_neighbours_went() -> None:
@@ -108,10 +114,10 @@ def test_lost_points_are_expected_where_their_neighbours_went() -> None:
     now[2] += [0.0, 90.0]
     found = np.ones(len(uv), dtype=np.bool_)
     found[7] = False
-    start = flow_nearby_compiled(uv, static_uv, now, found, 5.0)
+    start = other_places_compiled(uv, static_uv, static_uv, now, found, 5.0)[0]
     np.testing.assert_allclose(start[7], static_uv[7] + [20.0, 0.0])
     assert np.isnan(np.delete(start, 7, axis=0)).all()
-    nothing_moves = flow_nearby_compiled(uv, static_uv, now, found, 150.0)
+    nothing_moves = other_places_compiled(uv, static_uv, static_uv, now, found, 150.0)[0]
     assert np.isnan(nothing_moves).all()
 
 

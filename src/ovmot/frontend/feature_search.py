@@ -82,22 +82,20 @@ def recover_lost(
     sought: Sought,
     view: View,
     first: Found,
-    starts: FloatArray,
-    around: FloatArray,
+    places: FloatArray,
     settings: TrackerSettings,
     helper: Executor,
 ) -> Found:
-    """The features, with lost ones sought again: near `starts` (H, N, 2), then far `around` (N, 2).
+    """The features, with lost ones sought again from other `places` (H, N, 2).
 
-    The starts come in order of trust, NaN for none; around the last positions the whole pyramid is
-    searched. A repeated search finds something wherever it looks, so that the first patch must fit.
+    They come in order of trust, NaN for none; around the last ones the whole pyramid is searched. A
+    repeated search finds something wherever it looks, so that the first patch must fit.
     """
-    places = np.concatenate([starts, around[None]])
     lost = np.flatnonzero(~first.found & np.isfinite(places[..., 0]).any(axis=0))
     if not len(lost):
         return first
     near, whole = near_levels(settings), settings.klt_levels
-    levels = np.full((len(starts) + 1, len(first.uv)), near, dtype=np.int64)
+    levels = np.full(places.shape[:2], near, dtype=np.int64)
     levels[-1] = whole
     again = _Filled(first.uv.copy(), first.warp.copy(), _all_lost(len(first.uv)))
     _find(sought, view, lost, places, levels, again, helper, must_fit=True)

@@ -18,7 +18,7 @@ from ovmot.frontend.feature_search import (
 )
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.prediction import predict_tracks, unexplained_flow
-from ovmot.frontend.prediction_kernel import flow_nearby_compiled
+from ovmot.frontend.prediction_kernel import other_places_compiled
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.geometry.id_sets import contained
@@ -126,16 +126,10 @@ class KltTracker:
         self.patches.is_new[:] = False
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
-        nearby = flow_nearby_compiled(last.uv, static_uv, first.uv, first.found, half_px)
-        # not again where the first search began
-        elsewhere = np.where((start != static_uv).any(axis=1)[:, None], static_uv, np.nan)
+        places = other_places_compiled(last.uv, static_uv, start, first.uv, first.found, half_px)
         unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])
-        searched = self._search(view, static_uv, unknown, 2.0 * cell_px)
-        starts = np.stack([nearby, elsewhere, searched])
-        # far from the prediction only where that is wrong: most features are lost then
-        wrong = 2 * int(first.found.sum()) < len(last)
-        far = static_uv if wrong else np.full_like(static_uv, np.nan)
-        now = recover_lost(sought, view, first, starts, far, self._settings, self._helper)
+        self._search(view, static_uv, unknown, 2.0 * cell_px, places[2])
+        now = recover_lost(sought, view, first, places, self._settings, self._helper)
         xy = camera.normalize(now.uv)
         rows, stale = keep_found_compiled(
             now.uv, xy, now.warp, now.found, now.fits, view.compact_mask,
@@ -160,22 +154,20 @@ class KltTracker:
         )
 
     def _search(
-        self, view: View, static_uv: FloatArray, lost: BoolArray, reach_px: float
-    ) -> FloatArray:
-        """Where new ones of the `lost` points (N,) correlate best (N, 2), NaN for others.
+        self, view: View, static_uv: FloatArray, lost: BoolArray, reach_px: float, out: FloatArray
+    ) -> None:
+        """Fill in where new ones of the `lost` points (N,) correlate best (N, 2).
 
         They may be of a body that has just come into view. A reach of two fine cells is that of
         10 m/s at 10 m and 10 Hz in a view of 76 degrees.
         """
         last = self.points
-        new = lost & (last.track_length < _NEW)
-        rows = np.flatnonzero(new & view.contains(static_uv))
-        out = np.full(static_uv.shape, np.nan)
+        rows = np.flatnonzero(lost & (last.track_length < _NEW))
+        rows = rows[view.contains(static_uv[rows])]
         if self._pyramid is not None and len(rows):
             out[rows] = match_templates(
                 self._pyramid, view.pyramid, last.uv[rows], static_uv[rows], reach_px
             )
-        return out
 
     def _with_corners(
         self, view: View, tracked: TrackedPoints, focus: Image | None, dynamic_id: IntArray

@@ -109,7 +109,8 @@ def predict_matches(
     return start
 
 
-def flow_nearby(
+@part
+def _flow_nearby(
     uv: FloatArray, static_uv: FloatArray, seen: FloatArray, found: BoolArray, least_px: float
 ) -> FloatArray:
     """Where lost features would be, had they moved as the movers around them: (N, 2), else NaN.
@@ -127,6 +128,29 @@ def flow_nearby(
         extra = nearest_medians_compiled(uv[mover], seen[mover] - static_uv[mover], uv[lost])
         start[lost] = static_uv[lost] + extra
     return start
+
+
+def other_places(
+    uv: FloatArray, static_uv: FloatArray, start: FloatArray, seen: FloatArray, found: BoolArray,
+    least_px: float,
+) -> FloatArray:  # fmt: skip
+    """Where else features that are not `found` (N,) may be: (4, N, 2), NaN for nowhere.
+
+    By the movers around them (`_flow_nearby`); at rest, `static_uv` (N, 2), where the first search
+    began elsewhere, at `start` (N, 2); a third place, not filled in; and far from where they would
+    be at rest, where most features were not found: then the prediction is wrong.
+    """
+    n, wrong = len(uv), 2 * np.count_nonzero(found) < len(uv)
+    out = np.full((4, n, 2), math.nan)
+    out[0] = _flow_nearby(uv, static_uv, seen, found, least_px)
+    for i in range(n):
+        moved = start[i, 0] != static_uv[i, 0] or start[i, 1] != static_uv[i, 1]
+        for k in range(2):
+            if moved:
+                out[1, i, k] = static_uv[i, k]
+            if wrong:
+                out[3, i, k] = static_uv[i, k]
+    return out
 
 
 def median_flow(xy: FloatArray, p_before: FloatArray, T: FloatArray) -> float:
@@ -153,4 +177,4 @@ _folder = code_folder(Path(__file__))
 median_flow_compiled = compiled(median_flow, _folder)
 predict_tracks_compiled = compiled(predict_tracks, _folder)
 predict_matches_compiled = compiled(predict_matches, _folder)
-flow_nearby_compiled = compiled(flow_nearby, _folder)
+other_places_compiled = compiled(other_places, _folder)

@@ -173,9 +173,8 @@ class StereoTracker:
         first = find_features(sought, right, start, n_levels, self._helper, row)
         # the depth of a new feature is a guess: where it misleads most of them, matches are far
         misled = 2 * np.count_nonzero(first.found[new]) < np.count_nonzero(new)
-        far = np.where(new[:, None] & misled, start, np.nan)
-        no_other = np.empty((0, *start.shape))
-        seen = recover_lost(sought, right, first, no_other, far, self._settings, self._helper)
+        far = np.where(new[:, None] & misled, start, np.nan)[None]
+        seen = recover_lost(sought, right, first, far, self._settings, self._helper)
         camera = right.camera
         pixels, normalized = pair_up_compiled(
             points.uv, points.xy, seen.uv, camera.normalize(seen.uv), seen.found,
