@@ -1,4 +1,4 @@
-"""New corners: FAST over the whole image, spread by a grid, denser where something may move."""
+"""New corners: FAST where there is room, spread by a grid, denser where something may move."""
 
 from dataclasses import dataclass
 
