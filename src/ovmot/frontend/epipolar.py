@@ -92,7 +92,7 @@ def match_sigma(matches: StereoMatches, *, tails: float = 1.5, min_matches: int 
         return float("nan")
     middle = [(n - 1) // 2, n // 2]
     median = 0.5 * sum(np.partition(distance, middle)[middle].tolist())
-    return tails * max(1.4826 * median / 2.0**0.5, LEAST_MATCH_SIGMA_PX)
+    return float(tails * max(1.4826 * median / 2.0**0.5, LEAST_MATCH_SIGMA_PX))
 
 
 def two_view_inliers(

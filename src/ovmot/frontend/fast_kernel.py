@@ -9,6 +9,7 @@ makes a Python object of each corner.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,18 +26,19 @@ _WORD = 8
 _PORTION = 128
 """Candidates measured together: what is known of them stays in the fastest memory."""
 
+_Number = int | np.integer[Any]
 _Lanes = npt.NDArray[np.int16]
 _Bytes = npt.NDArray[np.uint8]
 
 
 @inlined_part
-def _least(a: int, b: int) -> int:
+def _least(a: _Number, b: _Number) -> _Number:
     """The lesser one, of their own type: `min` would widen it."""
     return a if a < b else b
 
 
 @inlined_part
-def _most(a: int, b: int) -> int:
+def _most(a: _Number, b: _Number) -> _Number:
     return a if a > b else b
 
 
