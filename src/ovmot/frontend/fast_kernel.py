@@ -101,16 +101,21 @@ def _candidates(image: Image, room: Image, threshold: int) -> IntArray:
 
 
 @part
-def _spread_over(source: _Lanes, apart: int, low: _Lanes, high: _Lanes, smaller: bool) -> None:
-    """Of rows k and k + `apart` modulo 16 the lesser values (16, n), or the greater ones."""
+def _least_apart(source: _Lanes, apart: int, out: _Lanes) -> None:
+    """Of rows k and k + `apart` modulo 16 the lesser values (16, n)."""
     for k in range(16):
-        a, b, out = source[k], source[(k + apart) % 16], (low if smaller else high)[k]
-        if smaller:
-            for n in range(_PORTION):
-                out[n] = _least(a[n], b[n])
-        else:
-            for n in range(_PORTION):
-                out[n] = _most(a[n], b[n])
+        a, b, lesser = source[k], source[(k + apart) % 16], out[k]
+        for n in range(_PORTION):
+            lesser[n] = _least(a[n], b[n])
+
+
+@part
+def _most_apart(source: _Lanes, apart: int, out: _Lanes) -> None:
+    """The greater ones."""
+    for k in range(16):
+        a, b, greater = source[k], source[(k + apart) % 16], out[k]
+        for n in range(_PORTION):
+            greater[n] = _most(a[n], b[n])
 
 
 @part
@@ -126,12 +131,12 @@ def _measure(pixels: _Bytes, at: IntArray, ring: IntArray, lanes: _Lanes, streng
         centre = np.int16(pixels[at[n]])
         for k in range(16):
             off[k, n] = np.int16(np.int16(pixels[at[n] + ring[k]]) - centre)
-    _spread_over(off, 1, least, least, True)
-    _spread_over(off, 1, most, most, False)
-    _spread_over(least, 2, low, low, True)
-    _spread_over(most, 2, high, high, False)
-    _spread_over(low, 4, least, least, True)
-    _spread_over(high, 4, most, most, False)
+    _least_apart(off, 1, least)
+    _most_apart(off, 1, most)
+    _least_apart(least, 2, low)
+    _most_apart(most, 2, high)
+    _least_apart(low, 4, least)
+    _most_apart(high, 4, most)
     strength[:] = 0
     for k in range(16):
         bright, dark, last = least[k], most[k], off[(k + 8) % 16]
