@@ -230,8 +230,11 @@ SIGINT_BY_DEFAULT, SIGINT_IGNORED = (
 )
 """What a parent leaves to its child; a shell's background job starts with the signal ignored."""
 SLOW_WRITER = (
-    "import time; from ovmot.outputs.run_writer import RunWriter; w = RunWriter.write\n"
-    "def slow(self, result): w(self, result); time.sleep(0.2)\n"
+    "import time; from pathlib import Path\n"
+    "from ovmot.outputs.run_writer import RunWriter; w = RunWriter.write; written = []\n"
+    "def slow(self, result):\n"
+    "    w(self, result); written.append(result); time.sleep(0.2)\n"
+    "    while len(written) >= 5 and not Path({go!r}).exists(): time.sleep(0.05)\n"
     "RunWriter.write = slow\n"
     "import ovmot.run; ovmot.run._UPDATE_EVERY_S = 0.1\n"
     "from ovmot.cli.app import main; main()"
@@ -248,13 +251,14 @@ Running = Callable[[str], subprocess.Popen[str]]
 
 @pytest.fixture
 def running(painted_euroc: Path, tmp_path: Path) -> Running:
-    """Starts a run into `tmp_path / "out"` that has written three frames and goes on slowly."""
+    """Starts a run into `tmp_path / "out"` that has written three frames; it goes on slowly, and
+    waits before its end for the file `tmp_path / "go"`."""
 
     def start(inherited: str) -> subprocess.Popen[str]:
-        code, out = inherited + SLOW_WRITER, tmp_path / "out"
+        code, out = inherited + SLOW_WRITER.format(go=str(tmp_path / "go")), tmp_path / "out"
         command = [sys.executable, "-c", code, "run", str(painted_euroc), "-o", str(out)]
         process = subprocess.Popen([*command, *FAST_FLAGS], stderr=subprocess.PIPE, text=True)
-        state, deadline = out / "state.csv", time.monotonic() + 60.0
+        state, deadline = out / "state.csv", time.monotonic() + 300.0
         while time.monotonic() < deadline and process.poll() is None:
             if state.exists() and state.read_text().count("\n") >= 4:
                 break
@@ -280,7 +284,8 @@ def test_a_signal_stops_between_two_frames(
     before = described(tmp_path / "out")
     assert before["ended"] == "running"
     process.send_signal(stop)
-    _, err = process.communicate(timeout=30.0)
+    (tmp_path / "go").touch()
+    _, err = process.communicate(timeout=120.0)
     assert (process.returncode, err.count("\n")) == (130, 1), err
     assert "interrupted; what was done until here is written whole" in err
     told = described(tmp_path / "out")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from object_fixtures import FRAME_NS, frame_of, make_body, make_track, measurement, scene_points
 
+from ovmot.objects.body import advance
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.track import (
     TrackState,
@@ -60,6 +61,22 @@ def test_unseen_a_track_coasts_and_becomes_unsure() -> None:
     assert horizontal_variance(later) > horizontal_variance(track)
     tentative = replace(track, state=TrackState.TENTATIVE)
     assert advance_track(tentative, frame_of(scene_points([]))).state == TrackState.TENTATIVE
+
+
+def test_seen_by_joined_features_alone_a_track_keeps_its_box(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    track = make_track((10.0, 1.0, 1.0), (4.0, 0.0, 0.0), ids=(1, 2))
+    frame = frame_of(scene_points([]), 2 * FRAME_NS)
+    body = advance(track.body, frame)
+    no_outline = body.map._replace(outline=np.zeros_like(body.map.outline))
+    seen = body._replace(map=no_outline, n_used=2)
+    monkeypatch.setattr("ovmot.objects.track.advance", lambda *_: seen)
+    later = advance_track(track, frame)
+    assert later.state == TrackState.CONFIRMED
+    assert later.updated_ns == frame.timestamp_ns
+    np.testing.assert_allclose(later.size, track.size)
+    np.testing.assert_allclose(later.position - track.position, [0.4, 0.0, 0.0], atol=1e-9)
 
 
 def test_measurements_confirm_a_track() -> None:

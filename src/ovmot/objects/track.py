@@ -136,6 +136,8 @@ def advance_track(track: Track, frame: FrameViews) -> Track:
     if body.n_used < LEAST_SEEN:
         return _unseen(track, body)
     state = TrackState.CONFIRMED if track.state == TrackState.COASTING else track.state
+    if not body.map.outline.any():  # only features that joined it are left: its box goes with it
+        return replace(_unseen(track, body), state=state, updated_ns=frame.timestamp_ns)
     camera = frame.step.centre
     heading = updated_heading(track.heading, body, track.position, camera, dt)
     # the box changes slowly in the body's frame, as more of it is seen
