@@ -110,7 +110,9 @@ def true_paths(truth: ObjectTruth, frames: IntArray, most_rows: int) -> list[dic
     rows: dict[int, list[list[float]]] = {}
     for at, stamp in enumerate(frames.tolist()):
         objects = truth.frames.get(stamp)
-        for k in () if objects is None else np.flatnonzero(objects.visible_px > 0):
+        if objects is None:
+            continue
+        for k in np.flatnonzero(objects.visible_px > 0):
             row = [at, *objects.center[k, :2], objects.yaw[k], *objects.size[k, :2]]
             rows.setdefault(int(objects.object_id[k]), []).append(row)
     longest = sorted(rows.values(), key=lambda path: -len(path))
