@@ -18,8 +18,12 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.cli import app as cli
 from ovmot.datasets.kaist.writer import write_kaist
+from ovmot.datasets.registry import open_sequence
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.run import RunOptions, run_sequence
+from ovmot.run_evaluation import evaluate
+from ovmot.settings import Settings
 from ovmot.sim.recording import record
 from ovmot.sim.scene_file import load_scene
 from ovmot.sim.scenes import make_simulation
@@ -79,6 +83,19 @@ def data_root() -> Path:
     if not root.is_dir():
         pytest.skip(f"no data in {root}; set OVMOT_DATA to run this test")
     return root
+
+
+@pytest.fixture(scope="session")
+def euroc_error_m(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> float:
+    """ATE of the ego motion on MH_01 as it was recorded, metres, SE(3)-aligned.
+
+    Tests that use it are of the group `euroc`, so that it is run once.
+    """
+    data, out = data_root / "euroc_mh01", tmp_path_factory.mktemp("euroc") / "run"
+    run_sequence(open_sequence(data), Settings(), RunOptions(out, threads=2))
+    ate = evaluate(out, data).scalars()["ate_se3_m"]
+    assert ate is not None
+    return ate
 
 
 @pytest.fixture(scope="session")

@@ -109,10 +109,14 @@ def evaluate(
 
 @dataclass(frozen=True, slots=True)
 class MotionComparison:
-    """The ego motion against the truth, and the alignment `yaw` of the run's world to its world."""
+    """The ego motion against the truth, and the alignment `yaw` of the run's world to its world.
+
+    `objects` are the true ones, in the truth's world; None where they are not known.
+    """
 
     metrics: EgoMetrics
     alignment: Alignment
+    objects: ObjectTruth | None = None
 
 
 def compare_motion(
@@ -120,13 +124,14 @@ def compare_motion(
 ) -> MotionComparison:
     """The ego motion alone against the truth; arguments and errors as those of `evaluate`."""
     folder = run.folder if isinstance(run, Run) else Path(run)
+    place = _input_of(folder) if truth is None else Path(truth)
     ego_run = read_ego_run(folder)
-    known = find_ego_truth(_input_of(folder) if truth is None else Path(truth), sequence)
+    known = find_ego_truth(place, sequence)
     ego_truth = _at_poses_of(ego_run, known)
     metrics = evaluate_ego(ego_run, ego_truth)
     of_truth, of_run = associate_stamps(ego_truth.timestamp_ns, ego_run.timestamp_ns, _MAX_GAP_NS)
     alignment = ALIGNMENTS["yaw"](ego_truth.T_world_imu[of_truth], ego_run.T_world_imu[of_run])
-    return MotionComparison(metrics, alignment)
+    return MotionComparison(metrics, alignment, find_object_truth(place, sequence, known))
 
 
 def _input_of(run: Path) -> Path:

@@ -100,6 +100,7 @@ def run_blocks() -> list[Path]:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("docs")
 @pytest.mark.parametrize("page", run_blocks(), ids=page_name)
 def test_commands_of_a_page_run(
     page: Path, desk: Desk, ovmot_command: Callable[..., object]

@@ -28,6 +28,7 @@ def long_street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("docs")
 @pytest.mark.parametrize("block", PROGRAMS, ids=lambda block: block.name)
 def test_program_runs(block: Block, desk: Desk, request: pytest.FixtureRequest) -> None:
     """In a folder with the data and the run that it names."""

@@ -112,6 +112,7 @@ def pages(site: Path) -> dict[Path, Page]:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_every_link_of_the_site_leads_somewhere(site: Path, pages: dict[Path, Page]) -> None:
     broken = []
     for path, page in pages.items():
@@ -130,6 +131,7 @@ def test_every_link_of_the_site_leads_somewhere(site: Path, pages: dict[Path, Pa
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> None:
     outside = re.compile(r"^(?:https?:)?//")
     fetched = [a for page in pages.values() for a in page.fetched if outside.match(a)]
@@ -139,6 +141,7 @@ def test_nothing_comes_from_the_network(site: Path, pages: dict[Path, Page]) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("site")
 def test_no_list_has_become_a_paragraph(pages: dict[Path, Page]) -> None:
     swallowed = [
         f"{path.name}: {found[:80]}"

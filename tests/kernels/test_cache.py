@@ -188,6 +188,17 @@ def test_the_same_source_elsewhere_is_the_same_code(folder: Path, tmp_path: Path
     assert run(elsewhere, cache) == "1 2470"
 
 
+def test_another_version_of_numba_has_a_folder_of_its_own(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one folder each would throw away what the other has compiled."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    usual = code_folder(folder / "small.py")
+    assert usual is not None
+    monkeypatch.setattr(numba, "__version__", "0.0.1")
+    assert code_folder(folder / "small.py") not in (usual, None)
+
+
 def test_the_key_covers_what_a_kernel_calls() -> None:
     source = Path(ovmot.__file__).parent / "segmentation/comparison_kernel.py"
     names = {path.name for path in compiled_sources(source)}

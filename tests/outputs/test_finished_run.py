@@ -128,7 +128,7 @@ def test_without_pandas_it_says_what_to_install(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="the package pandas: pip install pandas"):
+    with pytest.raises(InputError, match="pip install 'ovmot\\[pandas\\]'"):
         Run(folder).to_pandas("tracks")
 
 

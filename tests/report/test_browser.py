@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from run_folders import write_run, write_truth
+from run_folders import write_run, write_true_folder
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.report.page import batch_page
@@ -101,7 +101,7 @@ def open_page(browser: Any) -> Iterator[Callable[..., Opened]]:
 def report(tmp_path_factory: pytest.TempPathFactory, painted_rig: StereoRig) -> Path:
     folder = tmp_path_factory.mktemp("browser")
     run = write_run(folder / "street", painted_rig, warning=EVIL)
-    return write_report([run], truth=write_truth(folder / "truth.tum"))
+    return write_report([run], truth=write_true_folder(folder / "truth"))
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -119,6 +119,7 @@ def test_no_error_and_no_request(
     wide, window = opened.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide <= window  # nothing sticks out at the side
     assert opened.page.evaluate("document.documentElement.dataset.theme") == scheme
+    assert "the true objects" in opened.page.locator("#map-key").inner_text()
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW])
@@ -135,7 +136,7 @@ def test_the_slider_moves_frame_map_and_plots(
         assert len(times) == 1  # all plots stand at one time
         seen.append((image.get_attribute("src"), opened.map_pixels(), *times))
         assert opened.page.locator("#now").inner_text() == f"{0.1 * index:.2f} s"
-    assert lines.count() == 9  # two of speeds, six of errors, one of stages
+    assert lines.count() == 10  # two of speeds, six of errors, NEES, stages
     assert all(before != after for before, after in zip(*seen, strict=True))
     assert image.evaluate("image => image.naturalWidth") == 800
 
@@ -192,7 +193,7 @@ def test_the_theme_can_be_changed(open_page: Callable[..., Opened], report: Path
     opened.page.locator("#theme").click()
     opened.settle()
     assert opened.page.evaluate(background) != light
-    assert opened.page.locator("#plots canvas").count() == 9
+    assert opened.page.locator("#plots canvas").count() == 10
     assert opened.said == []
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_folders import SPEED, START_NS, STEP_NS, write_run, write_truth
+from run_folders import SPEED, START_NS, STEP_NS, write_run, write_true_folder, write_truth
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InputError
@@ -92,7 +92,21 @@ def test_errors_and_bounds_where_truth_is_known(folder: Path, tmp_path: Path) ->
     assert np.abs(run["truth"]["errors"][3:]).max() < 0.03
     assert run["truth"]["bounds"][3][0] == pytest.approx(3 * 0.01, rel=0.01)
     assert any(fact["name"].startswith("ATE") for fact in run["facts"])
+    orientation, position = run["truth"]["nees"]
+    assert len(orientation) == len(position) == 40
+    assert position[1] == pytest.approx((0.01 / 0.012) ** 2, rel=0.02)
+    assert run["truth"]["nees_band"] == pytest.approx([0.216, 9.348], abs=1e-3)
+    assert run["truth"]["objects"] == []
     assert one(folder)["truth"] is None
+
+
+def test_true_objects_where_they_are_known(folder: Path, tmp_path: Path) -> None:
+    """In the truth's world, at the frames in which the left camera sees them."""
+    run = one(folder, write_true_folder(tmp_path / "street_truth"))
+    (car,) = run["truth"]["objects"]
+    assert car["at"] == list(range(5, 40))
+    assert (car["x"][0], car["y"][0]) == pytest.approx((5.0, 16.0))
+    assert (car["length"][0], car["width"][0], car["yaw"][0]) == (4.0, 1.8, 1.57)
 
 
 def test_warnings_have_a_remedy(folder: Path) -> None:

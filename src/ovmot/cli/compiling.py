@@ -22,7 +22,7 @@ def compiling(style: Style, *, again: bool = False) -> Iterator[Callable[[], Non
         yield lambda: None
         return
     if style is Style.BAR:
-        say("ovmot: the first run on this machine compiles some code; about half a minute")
+        say("ovmot: the first run on this machine compiles its code; a minute on two cores")
 
     def wait() -> None:
         with interruptible(NOTHING_WRITTEN), steps("compile", style) as advance:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import chdtri
 
 from ovmot.geometry import so3
@@ -67,13 +66,15 @@ def nees(errors: FloatArray, covariance: FloatArray) -> FloatArray:
 
     NaN where an error or a covariance is not known, or a covariance is not positive definite.
     """
-    rows = [_normalized_square(e, P) for e, P in zip(errors, covariance, strict=True)]
-    return np.array(rows, dtype=np.float64)
+    return _normalized_squares(errors, covariance)
 
 
 def nis(innovations: Sequence[FloatArray], covariances: Sequence[FloatArray]) -> Nis:
     """NIS of innovations, each (k,) with its covariance (k, k), where k may change."""
-    rows = [_normalized_square(e, S) for e, S in zip(innovations, covariances, strict=True)]
+    rows = [
+        _normalized_squares(e[None], S[None])[0]
+        for e, S in zip(innovations, covariances, strict=True)
+    ]
     dof = [len(innovation) for innovation in innovations]
     return Nis(np.array(rows, dtype=np.float64), np.array(dof, dtype=np.int64))
 
@@ -127,20 +128,24 @@ def normalized_average(
     return float(squares.values[known].sum()) / total, (low / total, high / total)
 
 
-def _normalized_square(error: FloatArray, covariance: FloatArray) -> float:
-    """eᵀ P⁻¹ e of one error (k,), NaN where P is not positive definite or anything is NaN.
+def _normalized_squares(errors: FloatArray, covariance: FloatArray) -> FloatArray:
+    """eᵀ P⁻¹ e (N,) of errors (N, k), NaN where P is not positive definite or anything is NaN.
 
-    P is brought to a correlation matrix first, so that units do not decide what is singular.
+    P is brought to a correlation matrix first, so that units do not decide what is singular. Its
+    Cholesky factor L is made column by column for all at once, and with it y = L⁻¹ e.
     """
-    variance = np.diag(covariance)
-    if not (np.isfinite(error).all() and np.isfinite(covariance).all() and np.all(variance > 0.0)):
-        return float("nan")
-    sigma = np.sqrt(variance)
-    try:
-        L = np.linalg.cholesky(covariance / np.outer(sigma, sigma))
-    except np.linalg.LinAlgError:
-        return float("nan")
-    if np.min(np.diag(L), initial=1.0) ** 2 < _SINGULAR:
-        return float("nan")
-    whitened = solve_triangular(L, error / sigma, lower=True, check_finite=False)
-    return float(whitened @ whitened)
+    n, k = errors.shape
+    L = np.zeros((n, k, k))
+    y = np.zeros((n, k))
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        C = covariance / (sigma[:, :, None] * sigma[:, None, :])
+        for j in range(k):
+            before = L[:, :, :j] @ L[:, j, :j, None]
+            pivot = C[:, j, j] - before[:, j, 0]
+            root = np.sqrt(np.where(pivot >= _SINGULAR, pivot, np.nan))
+            L[:, j:, j] = (C[:, j:, j] - before[:, j:, 0]) / root[:, None]
+            known = np.einsum("ni,ni->n", L[:, j, :j], y[:, :j])
+            y[:, j] = (errors[:, j] / sigma[:, j] - known) / root
+        squares: FloatArray = np.einsum("ni,ni->n", y, y)
+    return np.where(np.isfinite(squares), squares, np.nan)

@@ -2,8 +2,9 @@
 
 numba by itself writes beside the sources, or where an environment variable of the process tells.
 Here the folder is the user's own, and its name is a hash of the kernel's source and of all that it
-calls: other text, other folder (numba's own check looks at the kernel's file alone).
-numba adds its version and the processor to the key and writes each file in one move, so that
+calls, and of numba's version: other text, other folder (numba's own check looks at the kernel's
+file alone, and two versions in one folder would throw away each other's code).
+numba adds Python's version and the processor to the key and writes each file in one move, so that
 several processes may share the folder.
 """
 
@@ -209,14 +210,14 @@ class _Forgiving:
 def code_folder(source: Path) -> Path | None:
     """The folder of the user's cache for the code compiled from this file; None if not writable.
 
-    Its name holds a hash of all source texts that are compiled into the code: see
-    `compiled_sources`.
+    Its name holds a hash of numba's version and of all source texts that are compiled into the
+    code: see `compiled_sources`.
     """
     base = _cache_base()
     if base is None:
         return None
     try:
-        folder = base / f"{source.stem}-{_key_of(compiled_sources(source))}"
+        folder = base / f"{source.stem}-{_key_of(compiled_sources(source), numba.__version__)}"
         folder.mkdir(exist_ok=True)
         return folder
     except OSError:  # no disk space

@@ -137,7 +137,7 @@ class Run:
         try:
             from pandas import DataFrame
         except ImportError:
-            raise InputError("DataFrames need the package pandas: pip install pandas") from None
+            raise InputError("DataFrames need pandas: pip install 'ovmot[pandas]'") from None
         return DataFrame(self._table(table))
 
     @cached_property

@@ -9,13 +9,14 @@ import numpy as np
 
 import ovmot
 from ovmot.errors import InputError
+from ovmot.evaluation.consistency import chi_squared_bounds
 from ovmot.evaluation.ego import EgoMetrics
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.outputs.finished_run import Rows, Run
 from ovmot.report.numbers import grid, listed, number, spans
 from ovmot.report.pictures import Pictures, pictures_of
 from ovmot.report.remedies import remedy_of, remedy_of_ending
-from ovmot.report.tracks import columns, map_paths, object_rows, paths_of
+from ovmot.report.tracks import columns, map_paths, object_rows, paths_of, true_paths
 from ovmot.report.world import Placed, placed_runs
 from ovmot.settings import Settings, describe_settings
 
@@ -27,6 +28,7 @@ _MOST_SAMPLES = 2400
 """Of a line in a plot: more than a screen has pixels."""
 _LEAST_SAMPLES = 600
 _SIGMAS = ("std_rotation_x", "std_rotation_y", "std_rotation_z", "std_x", "std_y", "std_z")
+_NEES_PARTS = ("orientation", "position")
 _STAGES = {
     "start": "initialize", "predict": "propagate", "match": "track", "split": "segment",
     "correct": "update", "forget": "marginalize",
@@ -96,7 +98,10 @@ def run_contents(placed: Placed, name: str, zero_ns: int, room: Room) -> dict[st
         },
         "standing": spans(seconds, state["standing"] > 0),
         "sigma": listed(columns(state, *_SIGMAS)[kept].T * _units()[:, None], 5),
-        "truth": None if placed.truth is None else _truth(placed.truth, frame_ns[kept]),
+        "truth": None
+        if placed.truth is None
+        else _truth(placed.truth, frame_ns[kept])
+        | _true_objects(placed, frame_ns[kept], room.path_rows),
         "tracks": map_paths(paths, placed, frame_ns[kept], room.path_rows),
         "objects": [row | {"view": pictures.views.get(row["id"])} for row in objects],
         "timing": _timing(run, frame_ns[kept]),
@@ -159,20 +164,28 @@ def _units() -> FloatArray:
 
 
 def _truth(metrics: EgoMetrics, grid_ns: IntArray) -> dict[str, Any]:
-    """The true path and the errors with their bounds, at the frames of the grid that have them."""
+    """The true path, errors, their bounds and NEES, at the frames of the grid that have them."""
     series = metrics.series
     at = np.minimum(np.searchsorted(series.timestamp_ns, grid_ns), len(series.timestamp_ns) - 1)
     there = series.timestamp_ns[at] == grid_ns
     scale = _units()[None, :]
     errors = np.where(there[:, None], scale * series.errors[at], np.nan)
     bounds = np.where(there[:, None], scale * series.three_sigma[at], np.nan)
+    squares = np.stack([series.nees[part] for part in _NEES_PARTS], axis=1)
     path = series.position_true[grid(len(series.position_true), len(grid_ns))]
     return {
         "x": listed(path[:, 0], 2),
         "y": listed(path[:, 1], 2),
         "errors": listed(errors.T, 4),
         "bounds": listed(bounds.T, 4),
+        "nees": listed(np.where(there[:, None], squares[at], np.nan).T, 3),
+        "nees_band": listed(np.array(chi_squared_bounds(3)), 3),
     }
+
+
+def _true_objects(placed: Placed, grid_ns: IntArray, most_rows: int) -> dict[str, Any]:
+    found = placed.true_objects
+    return {"objects": [] if found is None else true_paths(found, grid_ns, most_rows)}
 
 
 def _timing(run: Run, grid_ns: IntArray) -> dict[str, Any] | None:

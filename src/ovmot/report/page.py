@@ -34,9 +34,9 @@ def batch_page(contents: dict[str, Any]) -> str:
 
 
 def page_of(
-    template: str, scripts: tuple[str, ...], styles: tuple[str, ...], contents: Any, title: str
+    body: str, scripts: tuple[str, ...], styles: tuple[str, ...], contents: Any, title: str
 ) -> str:
-    """A page of files in `assets/`, `contents` (values of JSON) and a title."""
+    """A page of files in `assets/` within `frame.html`, `contents` (values of JSON), a title."""
     script = "\n".join(_asset(name) for name in scripts)
     style = "\n".join(_asset(name) for name in styles)
     policy = "; ".join(
@@ -45,9 +45,9 @@ def page_of(
             f"style-src '{_hash(style)}'", "base-uri 'none'", "form-action 'none'",
         ]
     )  # fmt: skip
-    return Template(_asset(template)).substitute(
+    return Template(_asset("frame.html")).substitute(
         policy=html.escape(policy, quote=False), title=html.escape(printable(title)),
-        style=style, script=script, data=embedded(contents),
+        style=style, body=_asset(body), script=script, data=embedded(contents),
     )  # fmt: skip
 
 

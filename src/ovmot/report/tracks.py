@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ovmot.datasets.truth import ObjectTruth
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.motion_class import CLASSES
 from ovmot.outputs.finished_run import Rows
@@ -12,6 +13,8 @@ from ovmot.outputs.objects_overlay import class_word
 from ovmot.report.numbers import listed, number
 from ovmot.report.world import Placed
 from ovmot.types import ObjectTrack
+
+_OUTLINE = ("x", "y", "yaw", "length", "width")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +100,29 @@ def map_paths(
             break
         shown.append(_map_path(path, path.rows[there], path.speed[there], at[there], placed))
     return sorted(shown, key=lambda entry: int(entry["id"]))
+
+
+def true_paths(truth: ObjectTruth, frames: IntArray, most_rows: int) -> list[dict[str, Any]]:
+    """True paths of the objects that the left camera sees, at the grid of frames, for the map.
+
+    `at` are indices into that grid. The longest ones come, up to so many rows altogether.
+    """
+    rows: dict[int, list[list[float]]] = {}
+    for at, stamp in enumerate(frames.tolist()):
+        objects = truth.frames.get(stamp)
+        if objects is None:
+            continue
+        for k in np.flatnonzero(objects.visible_px > 0):
+            row = [at, *objects.center[k, :2], objects.yaw[k], *objects.size[k, :2]]
+            rows.setdefault(int(objects.object_id[k]), []).append(row)
+    longest = sorted(rows.values(), key=lambda path: -len(path))
+    used = np.cumsum([len(path) for path in longest])
+    return [
+        {"at": [int(row[0]) for row in path]}
+        | dict(zip(_OUTLINE, listed(np.array(path)[:, 1:].T, 2), strict=True))
+        for path, total in zip(longest, used, strict=True)
+        if total <= most_rows
+    ]
 
 
 def object_rows(

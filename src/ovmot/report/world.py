@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ovmot.datasets.truth import ObjectTruth
 from ovmot.errors import OvmotError
 from ovmot.evaluation.alignment import ALIGNMENTS, Alignment
 from ovmot.evaluation.ego import EgoMetrics
@@ -20,11 +21,15 @@ UNMOVED = Alignment(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A run, where its world lies in that of the page, and its errors where truth is known."""
+    """A run, where its world lies in that of the page, and its errors where truth is known.
+
+    `true_objects` are in the page's world, which then is that of the truth.
+    """
 
     run: Run
     to_page: Alignment
     truth: EgoMetrics | None = None
+    true_objects: ObjectTruth | None = None
 
     def positions(self, position: FloatArray) -> FloatArray:
         """Positions (..., 3) of the run in the page's world."""
@@ -47,7 +52,7 @@ def placed_runs(runs: Sequence[Run], truth: Path | None = None) -> tuple[Placed,
     for run in runs:
         found = _compared(run, truth)
         if found is not None:
-            placed.append(Placed(run, found.alignment, found.metrics))
+            placed.append(Placed(run, found.alignment, found.metrics, found.objects))
         else:
             placed.append(Placed(run, _onto(placed[0], run) if placed else UNMOVED))
     return tuple(placed)

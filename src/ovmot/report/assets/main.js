@@ -24,8 +24,10 @@ function title() {
   };
   const links = Object.entries(counts).map(([id, text]) => make("a", { href: `#${id}` }, text));
   document.getElementById("contents").append(...links);
-  const key = RUNS.some((run) => run.truth) ? "Wide grey line: the true path. " : "";
-  document.getElementById("map-key").textContent = `${key}Boxes: objects as seen now. Drag to move, wheel or two fingers to zoom.`;
+  const truth = RUNS.find((run) => run.truth);
+  const path = truth ? "Wide grey line: the true path. " : "";
+  const bodies = truth && truth.truth.objects.length ? "Thin grey boxes: the true objects. " : "";
+  document.getElementById("map-key").textContent = `${path}${bodies}Boxes: objects as seen now. Drag to move, wheel or two fingers to zoom.`;
 }
 
 function sum(count) {

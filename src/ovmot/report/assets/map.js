@@ -147,6 +147,7 @@ class MapView {
     if (truth) this.line(pen, truth.truth.x, truth.truth.y, css("--truth"), 5, 0.45);
     this.names = [];
     RUNS.forEach((run, i) => this.drawRun(pen, run, runColor(i)));
+    if (truth) this.drawTrueObjects(pen, truth);
     this.drawNames(pen);
   }
 
@@ -165,28 +166,42 @@ class MapView {
     this.drawRig(pen, run, now, color);
   }
 
-  drawTrack(pen, run, track, now) {
-    const k = lastUpTo(track.at, now);
-    if (track.at[k] !== now) return; // it is not seen now
-    const color = trackColor(track.id);
+  /** Outline and trail of the true objects, thin and grey. */
+  drawTrueObjects(pen, run) {
+    const now = lastUpTo(run.t, clock.now);
+    for (const object of run.truth.objects) this.drawBox(pen, run, object, now, css("--soft"), 1);
+  }
+
+  /** An object's trail and its box as it is now; its index and corners, or null if it is not seen. */
+  drawBox(pen, run, object, now, color, width) {
+    const k = lastUpTo(object.at, now);
+    if (object.at[k] !== now) return null;
     let first = k;
-    while (first > 0 && run.t[track.at[first - 1]] >= run.t[now] - TRAIL_S) first -= 1;
-    this.line(pen, track.x, track.y, color, 2, 1, first, k);
-    const [c, s] = [Math.cos(track.yaw[k]), Math.sin(track.yaw[k])];
-    const [l, w] = [track.length[k] / 2, track.width[k] / 2];
+    while (first > 0 && run.t[object.at[first - 1]] >= run.t[now] - TRAIL_S) first -= 1;
+    this.line(pen, object.x, object.y, color, width, 1, first, k);
+    const [c, s] = [Math.cos(object.yaw[k]), Math.sin(object.yaw[k])];
+    const [l, w] = [object.length[k] / 2, object.width[k] / 2];
     const corner = (a, b) => [
-      this.u(track.x[k] + c * a * l - s * b * w), this.v(track.y[k] + s * a * l + c * b * w),
+      this.u(object.x[k] + c * a * l - s * b * w), this.v(object.y[k] + s * a * l + c * b * w),
     ];
     pen.strokeStyle = color;
-    pen.fillStyle = color;
-    pen.lineWidth = 2;
+    pen.lineWidth = width;
     pen.beginPath();
     for (const [a, b] of [[1, 1], [-1, 1], [-1, -1], [1, -1]]) pen.lineTo(...corner(a, b));
     pen.closePath();
+    pen.stroke();
+    return [k, corner];
+  }
+
+  drawTrack(pen, run, track, now) {
+    const color = trackColor(track.id);
+    const drawn = this.drawBox(pen, run, track, now, color, 2);
+    if (!drawn) return;
+    const [k, corner] = drawn;
+    pen.fillStyle = color;
     pen.globalAlpha = 0.25;
     pen.fill();
     pen.globalAlpha = 1;
-    pen.stroke();
     pen.beginPath(); // a tip on the side it moves towards
     pen.moveTo(...corner(1, 0.6));
     pen.lineTo(...corner(1.5, 0));

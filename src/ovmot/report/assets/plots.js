@@ -23,6 +23,7 @@ class Plots {
     RUNS.forEach((run, i) => objectPlot(this, run, i));
     if (RUNS.some((run) => run.truth)) errorPlots(this);
     else sigmaPlots(this);
+    neesPlot(this);
     RUNS.forEach((run, i) => timingPlot(this, run, i));
     this.show(clock.now);
   }
@@ -45,7 +46,7 @@ class Plots {
     const plot = new uPlot({
       width: Math.max(panel.clientWidth, 200),
       height: 190,
-      scales: { x: { time: false }, y: options.range ? { range: options.range } : {} },
+      scales: { x: { time: false }, y: { distr: options.log ? 3 : 1, ...(options.range && { range: options.range }) } },
       axes: [{ ...axis, values: (_, all) => all.map((t) => `${t} s`) }, { ...axis, size: 52 }],
       series: [{ label: "time", value: (_, t) => (t === null ? "–" : `${t.toFixed(2)} s`) }, ...lines.map(seriesOf)],
       bands: options.bands || [],
@@ -163,6 +164,27 @@ function errorPlots(plots) {
       plots.add(`${part}, ${axis}`, unit, lines, { bands, shade: SEVERAL ? null : shadeOf(RUNS[0]) });
     });
   }
+}
+
+/** Squared errors over their covariance, with the band that 95 % of honest ones keep. */
+function neesPlot(plots) {
+  const known = RUNS.map((run, i) => [run, i]).filter(([run]) => run.truth && run.truth.nees.some((part) => part.some((value) => value !== null)));
+  if (!known.length) return;
+  const [[first]] = known;
+  const [low, high] = first.truth.nees_band;
+  const edge = (value, label) => ({ label, x: first.t, y: first.t.map(() => value), color: css("--good"), width: 1, dash: [4, 4] });
+  const lines = [edge(high, "95 % band"), edge(low, "95 % band")];
+  for (const [run, i] of known) {
+    ["orientation", "position"].forEach((part, k) => lines.push({
+      label: nameOf(run, part), x: run.t, y: run.truth.nees[k].map((value) => value || null),
+      color: SEVERAL ? runColor(i) : STAGE_COLORS[k], dash: SEVERAL && k === 0 ? [2, 3] : undefined,
+    }));
+  }
+  plots.add("NEES, 3 where errors and covariance agree", "–", lines, {
+    log: true, range: (_, __, top) => [low / 3, Math.max(3 * high, top)],
+    bands: [{ series: [1, 2], fill: "rgba(0, 158, 115, .12)" }],
+    shade: SEVERAL ? null : shadeOf(RUNS[0]),
+  });
 }
 
 function sigmaPlots(plots) {
