@@ -12,7 +12,7 @@ from ovmot.frontend.prediction import (
     unexplained_flow,
 )
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.arrays import FloatArray
 
 
 @pytest.fixture
@@ -99,30 +99,22 @@ def test_one_that_moves_on_its_own_is_sought_there(
     np.testing.assert_allclose(seen.start[10:], seen.static_uv[10:] + 3.0, atol=1e-9)
 
 
-def all_of(xy: FloatArray) -> BoolArray:
-    return np.ones(len(xy), dtype=np.bool_)
-
-
 def test_the_right_view_of_a_known_depth(rig: StereoRig, points: FloatArray) -> None:
     xy = points[:, :2] / points[:, 2:]
-    uv = predict_right(rig.cam0.project(points), xy, points[:, 2], all_of(xy), 9.0, rig)
+    uv = predict_right(rig.cam0.project(points), xy, points[:, 2], 9.0, rig)
     true = rig.cam1.project(se3.apply(rig.T_cam1_cam0, points))
     np.testing.assert_allclose(uv, true, atol=1e-9)
-    wanted = np.arange(len(xy)) % 3 == 0
-    some = predict_right(rig.cam0.project(points), xy, points[:, 2], wanted, 9.0, rig)
-    np.testing.assert_array_equal(some[wanted], uv[wanted])
-    assert np.isnan(some[~wanted]).all()
 
 
 def test_unknown_depths_come_from_neighbours_in_the_image(rig: StereoRig) -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(-0.1, 0.1, (60, 2)) + np.repeat([[-0.4, 0.0], [0.4, 0.0]], 30, axis=0)
     uv, depth = rig.cam0.denormalize(xy), np.repeat([5.0, 20.0], 30)
-    whole = predict_right(uv, xy, depth, all_of(xy), 12.0, rig)
+    whole = predict_right(uv, xy, depth, 12.0, rig)
     depth[[3, 40]] = 99.0  # one odd neighbour does not spoil a median
     given = depth.copy()
     given[[0, 1, 30, 31]] = np.nan
-    seen = predict_right(uv, xy, given, all_of(xy), 12.0, rig)
+    seen = predict_right(uv, xy, given, 12.0, rig)
     np.testing.assert_array_equal(seen[[0, 1, 30, 31]], whole[[0, 1, 30, 31]])
     assert np.isnan(given[0])  # the argument is left as it was
 
@@ -132,10 +124,9 @@ def test_with_too_few_known_depths_the_default_is_taken(rig: StereoRig) -> None:
     uv, depth = rig.cam0.denormalize(xy), np.array([np.nan, 3.0, 4.0, np.nan, 5.0, 6.0])
     filled = np.array([12.0, 3.0, 4.0, 12.0, 5.0, 6.0])
     np.testing.assert_array_equal(
-        predict_right(uv, xy, depth, all_of(xy), 12.0, rig),
-        predict_right(uv, xy, filled, all_of(xy), 1.0, rig),
+        predict_right(uv, xy, depth, 12.0, rig), predict_right(uv, xy, filled, 1.0, rig)
     )
-    assert predict_right(uv[:0], xy[:0], depth[:0], all_of(xy[:0]), 12.0, rig).shape == (0, 2)
+    assert predict_right(uv[:0], xy[:0], depth[:0], 12.0, rig).shape == (0, 2)
 
 
 def test_only_flow_that_is_not_the_camera_s_is_predicted() -> None:

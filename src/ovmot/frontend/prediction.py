@@ -66,21 +66,15 @@ def unexplained_flow(
 
 
 def predict_right(
-    uv_left: FloatArray,
-    xy_left: FloatArray,
-    depth: FloatArray,
-    wanted: BoolArray,
-    default: float,
-    rig: StereoRig,
+    uv_left: FloatArray, xy_left: FloatArray, depth: FloatArray, default: float, rig: StereoRig
 ) -> FloatArray:
-    """Right pixels (N, 2) of left pixels and normalized coordinates (N, 2) at depths (N,), metres,
-    NaN of those not `wanted` (N,).
+    """Right pixels (N, 2) of left pixels and normalized coordinates (N, 2) at depths (N,), metres.
 
     An unknown depth is the median of those of the nearest pixels, `default` where too few are
     known.
     """
     start: FloatArray = predict_matches_compiled(
-        uv_left, xy_left, depth, wanted, default, rig.T_cam1_cam0, *packed_camera(rig.cam1)
+        uv_left, xy_left, depth, default, rig.T_cam1_cam0, *packed_camera(rig.cam1)
     )
     return start
 

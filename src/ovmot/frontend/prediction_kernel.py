@@ -19,11 +19,10 @@ LEAST_DEPTH_M = 0.2
 
 
 @part
-def _fill_depths(uv: FloatArray, depth: FloatArray, wanted: BoolArray, default: float) -> None:
-    """Replace unknown depths (N,) that are wanted (N,), in place, by the median of the nearest
-    known pixels (N, 2), or by the default where too few are known."""
-    known = np.flatnonzero(np.isfinite(depth))
-    unknown = np.flatnonzero(~np.isfinite(depth) & wanted)
+def _fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> None:
+    """Replace unknown depths (N,), in place, by the median of the nearest known pixels (N, 2), or
+    by the default where too few are known."""
+    known, unknown = np.flatnonzero(np.isfinite(depth)), np.flatnonzero(~np.isfinite(depth))
     if len(known) < NEAREST:
         depth[unknown] = default
         return
@@ -69,7 +68,7 @@ def predict_tracks(
     """
     n = len(uv)
     near = p_before[:, 2].copy()
-    _fill_depths(uv, near, np.ones(n, dtype=np.bool_), math.nan)
+    _fill_depths(uv, near, math.nan)
     static_uv, start = np.empty((n, 2)), np.empty((n, 2))
     depth, moves = np.empty(n), np.zeros(n, dtype=np.bool_)
     for i in range(n):
@@ -89,24 +88,23 @@ def predict_tracks(
 
 
 def predict_matches(
-    uv: FloatArray, xy: FloatArray, depth: FloatArray, wanted: BoolArray, default: float,
+    uv: FloatArray, xy: FloatArray, depth: FloatArray, default: float,
     T: FloatArray, lens: int, camera: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Pixels (N, 2) in the other camera of features with pixels `uv` and coordinates `xy` (N, 2),
-    NaN of those not `wanted` (N,).
+    """Pixels (N, 2) in the other camera of features with pixels `uv` and coordinates `xy` (N, 2).
 
     `depth` (N,), metres, NaN where unknown: then that of the features around, or the default. T
     (4, 4): `T_cam1_cam0`; `lens`, `camera`: of the other camera, see `lens_kernel.packed_camera`.
     """
     filled, start = depth.copy(), np.empty((len(uv), 2))
-    _fill_depths(uv, filled, wanted, default)
+    _fill_depths(uv, filled, default)
     for i in range(len(uv)):
         x, y, z = xy[i, 0] * filled[i], xy[i, 1] * filled[i], filled[i]
         q = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
         a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
         b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
         start[i, 0], start[i, 1] = math.nan, math.nan
-        if wanted[i] and q > 0.0:
+        if q > 0.0:
             start[i, 0], start[i, 1] = to_pixel(lens, camera, a / q, b / q)
     return start
 

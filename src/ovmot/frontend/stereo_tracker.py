@@ -158,18 +158,18 @@ class StereoTracker:
         self, left: View, right: View, points: TrackedPoints, cell_px: int
     ) -> tuple[GatedPairs, StereoMatches]:
         """The features, with accepted right halves only, and all tested pairs."""
-        # one that has had no match so far has none by flow: its patch alone is tried, now and then
-        new = points.track_length == 0
-        unmatched = ~new & np.isnan(points.depth)
-        due = (points.feature_id + points.track_length) % _RETRIED_FRAMES == 0
-        wanted = ~unmatched | due
         # predict the right position by the depth of the point, or of those around it; where none
         # is known, by a disparity of half a fine cell
         default = self._rig.baseline * left.camera.fx / (0.5 * cell_px)
-        start = predict_right(points.uv, points.xy, points.depth, wanted, default, self._rig)
+        start = predict_right(points.uv, points.xy, points.depth, default, self._rig)
         # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
-        n_levels, row = np.where(unmatched, 0, near_levels(self._settings)), np.flatnonzero(wanted)
+        # one that has had no match so far has none by flow: its patch alone is tried, now and then
+        new = points.track_length == 0
+        unmatched = ~new & np.isnan(points.depth)
+        n_levels = np.where(unmatched, 0, near_levels(self._settings))
+        due = (points.feature_id + points.track_length) % _RETRIED_FRAMES == 0
+        row = np.flatnonzero(~unmatched | due)
         first = find_features(sought, right, start, n_levels, self._helper, row)
         # the depth of a new feature is a guess: where it misleads most of them, matches are far
         misled = 2 * np.count_nonzero(first.found[new]) < np.count_nonzero(new)
