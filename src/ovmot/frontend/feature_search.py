@@ -47,25 +47,19 @@ class Sought:
 
 
 def find_features(
-    sought: Sought,
-    view: View,
-    start: FloatArray,
-    n_levels: int | IntArray,
-    helper: Executor,
-    row: IntArray | None = None,
+    sought: Sought, view: View, start: FloatArray, n_levels: int | IntArray, helper: Executor
 ) -> Found:
     """Where the features are in a view, from predicted pixels `start` (N, 2), NaN: where they were.
 
     The first patch is aligned with the predicted place. Where it does not fit, optical flow on
     `n_levels` of the pyramid (of all, or (N,)), there and back, leads to where it is aligned again;
-    with none it is lost. Those not in `row` (M,) are left out: they count as lost; None: all are
-    sought. The `helper` takes a part of the features; each is sought by itself.
+    with none it is lost. The `helper` takes a part of the features; each is sought by itself.
     """
     starts = np.where(np.isfinite(start), start, sought.uv)[None]
     levels = np.full(len(start), n_levels, dtype=np.int64)[None]
     found = _Filled(sought.uv.copy(), sought.store.warp[sought.slot], _all_lost(len(start)))
-    row = np.arange(len(start)) if row is None else row
-    _find(sought, view, row, starts, levels, found, helper, must_fit=False)
+    every = np.arange(len(start))
+    _find(sought, view, every, starts, levels, found, helper, must_fit=False)
     return Found(found.uv, found.warp, found.state != LOST, found.state == ALIGNED)
 
 

@@ -33,10 +33,6 @@ from ovmot.types import (
     no_features,
 )
 
-_RETRIED_FRAMES = 4
-"""A feature without a match so far is tried in one of so many frames: most are hidden from the
-right camera, or beyond its picture, and stay so."""
-
 
 class StereoTracker:
     """Tracks corners through the left images and matches each anew into the right one.
@@ -164,16 +160,13 @@ class StereoTracker:
         start = predict_right(points.uv, points.xy, points.depth, default, self._rig)
         # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
-        # one that has had no match so far has none by flow: its patch alone is tried, now and then
+        # one that has had no match so far has none by flow: its patch alone is tried again
         new = points.track_length == 0
         unmatched = ~new & np.isnan(points.depth)
         n_levels = np.where(unmatched, 0, near_levels(self._settings))
-        due = (points.feature_id + points.track_length) % _RETRIED_FRAMES == 0
-        row = np.flatnonzero(~unmatched | due)
-        first = find_features(sought, right, start, n_levels, self._helper, row)
-        # the depth of a new feature is a guess: where it misleads most of them, matches are far
-        misled = 2 * np.count_nonzero(first.found[new]) < np.count_nonzero(new)
-        far = np.where(new[:, None] & misled, start, np.nan)[None]
+        first = find_features(sought, right, start, n_levels, self._helper)
+        # the depth of a new feature is a guess: its match may be far from the prediction
+        far = np.where(new[:, None], start, np.nan)[None]
         seen = recover_lost(sought, right, first, far, self._settings, self._helper)
         camera = right.camera
         pixels, normalized = pair_up_compiled(
