@@ -225,7 +225,8 @@ def test_on_a_full_disk_the_rows_are_whole_and_run_json_says_why(
 
 
 SIGINT_BY_DEFAULT, SIGINT_IGNORED = (
-    f"import signal; signal.signal(signal.SIGINT, signal.{handler})\n"
+    f"import signal; signal.signal(signal.SIGINT, signal.{handler}); "
+    "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # also where the tests are run by nohup
     for handler in ("default_int_handler", "SIG_IGN")
 )
 """What a parent leaves to its child; a shell's background job starts with the signal ignored."""
