@@ -21,6 +21,7 @@ from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError, InputError, OvmotError
 from ovmot.geometry import se3
 from ovmot.odometry import NO_OBJECTS, Odometry
+from ovmot.outputs.finished_run import Run
 from ovmot.outputs.run_writer import RunWriter, open_outputs
 from ovmot.run import RunOptions, poses_from_file, run_sequence
 from ovmot.settings import MaskSettings, ObjectSettings, Settings
@@ -430,6 +431,9 @@ def test_a_run_with_one_camera(painted_euroc: Path, tmp_path: Path, threads: int
     assert NO_OBJECTS in said
     assert not any("without a stereo match" in text for text in said)
     assert not (tmp_path / "out" / "objects_kitti.txt").exists()
+    state = Run(tmp_path / "out").state
+    assert np.isnan(state["imu_cam1_x"]).all()
+    assert np.isfinite(state["imu_cam0_x"]).all()
 
 
 def test_the_left_camera_of_two_has_no_objects_either(painted_euroc: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,11 @@ def run(tmp_path: Path) -> Path:
 
 def write_run(
     folder: Path, settings: Settings = SETTINGS, sure: tuple[str, ...] = SURE,
-    clock_sigma_s: float = 1e-4,
+    clock_sigma_s: float = 1e-4, n_cameras: int = 2,
 ) -> Path:  # fmt: skip
     """A run of one frame; of what it is sure, the sigma is a tenth of the prior's."""
     folder.mkdir()
-    rig = handheld_rig()
+    rig = replace(handheld_rig(), n_cameras=n_cameras)
     write_chain(folder / CHAIN_FILE, rig)
     calibration, variance = make_calibration(rig, settings.calibration)
     names = calibration.names()
@@ -73,6 +74,17 @@ def test_what_is_observed_is_taken(run: Path) -> None:
     assert values["cam0_pose_rx"].after == pytest.approx(np.degrees(0.01))
     assert values["stereo_length"].before == pytest.approx(before.baseline)
     assert values["cam0_pose_y"].after == pytest.approx(before.T_imu_cam0[1, 3] + 0.02)
+
+
+def test_of_one_camera_no_second_one_is_told(tmp_path: Path) -> None:
+    """The pose of a right camera that is not there is a placeholder."""
+    sure = ("cam0_pose_rx", "cam0_pose_ry")
+    run = write_run(tmp_path / "run", sure=sure, n_cameras=1)
+    found, chain = run_calibration(run), tmp_path / "chain.yaml"
+    assert {v.name for v in found.values if v.name.startswith(("stereo", "cam1"))} == set()
+    write_run_calibration(run, chain, found)
+    assert set(yaml.safe_load(chain.read_text())) == {"cam0"}
+    assert "stereo" not in chain.read_text()
 
 
 def test_the_files(run: Path, tmp_path: Path) -> None:

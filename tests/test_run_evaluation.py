@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from run_folders import START_NS, write_run
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.pose_files import tum_line
 from ovmot.errors import InputError
+from ovmot.evaluation.headline import headline
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.run_evaluation import evaluate
+from ovmot.settings import Settings
 
 STEP_NS = 100_000_000
 
@@ -66,6 +70,17 @@ def test_without_truth_it_is_what_the_run_has_read(run: Path, painted_euroc: Pat
     (run / "run.json").write_text("{}")
     with pytest.raises(InputError, match="does not say what it has read; give --truth"):
         evaluate(run)
+
+
+def test_tracks_count_where_objects_were_looked_for(tmp_path: Path, painted_rig: StereoRig) -> None:
+    """A run with one camera or `--no-objects` has an empty table of tracks: 0 would be a claim."""
+    off = Settings.model_validate({"objects": {"enabled": False}})
+    truth = write_tum(tmp_path / "t.tum", [START_NS + i * STEP_NS for i in range(40)])
+    found = evaluate(write_run(tmp_path / "on", painted_rig), truth).scalars()
+    assert found["confirmed_tracks"] == 2.0
+    found = evaluate(write_run(tmp_path / "off", painted_rig, settings=off), truth).scalars()
+    assert "confirmed_tracks" not in found
+    assert "confirmed_tracks_per_min" not in headline(found)
 
 
 def test_real_labels(data_root: Path, ovmot_command: Callable[..., Any], tmp_path: Path) -> None:

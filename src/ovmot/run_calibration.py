@@ -19,6 +19,7 @@ from ovmot.types import ImuNoise
 from ovmot.vio.online_calibration import (
     CAMERA_INTRINSICS,
     MOUNT,
+    STEREO,
     OnlineCalibration,
     calibrated_rig,
     make_calibration,
@@ -71,9 +72,12 @@ def run_calibration(folder: StrPath) -> RunCalibration:
     known = np.array([_is_observed(sigma[n], s) for n, s in zip(names, prior, strict=True)])
     kept = np.where(known, [value[n] for n in names], 0.0)
     after = calibrated_rig(before, calibration.plus(kept))
+    of_cameras: tuple[str, ...] = (MOUNT, STEREO, *CAMERA_INTRINSICS)
+    if before.n_cameras == 1:
+        of_cameras = (MOUNT, CAMERA_INTRINSICS[0])
     rows = []
     for name, observed in zip(names, known, strict=True):
-        if name.startswith((MOUNT, "stereo", *CAMERA_INTRINSICS)):
+        if name.startswith(of_cameras):
             unit, scale, origin = _unit(name, before, calibration)
             end = origin + scale * value[name]
             rows.append(

@@ -151,7 +151,7 @@ def _evaluation(run: Path, truth: Path, sequence: str | None, wanted: ObjectCrit
     ego_truth = _at_poses_of(ego_run, known)
     ego = evaluate_ego(ego_run, ego_truth)
     true_objects = _objects_of(truth, sequence, known)
-    tracks = read_tracks(run)
+    tracks = read_tracks(run) if Run(run).looked_for_objects else None
     confirmed = {} if tracks is None else confirmed_scalars(tracks, ego_run.timestamp_ns)
     if true_objects is None:
         return Evaluation(ego, confirmed)

@@ -1,5 +1,6 @@
 """Any format's calibration as a Kalibr chain, which `--calibration` reads back."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,16 @@ def test_each_format_comes_back(
     assert len(written.files) == (1 if sequence.imu_noise is None else 2)
     skewed = any(camera.intrinsics[4] for camera in sequence.rig.cameras)
     assert skewed == any("skew" in note for note in written.notes) == (name == "kaist")
+
+
+def test_one_camera_is_written_alone(euroc: Path, tmp_path: Path) -> None:
+    shutil.rmtree(euroc / "mav0" / "cam1")
+    sequence, out = open_sequence(euroc), tmp_path / "chain.yaml"
+    write_calibration(sequence, out)
+    assert set(yaml.safe_load(out.read_text())) == {"cam0"}
+    read = open_sequence(euroc, calibration=out).rig
+    assert read.n_cameras == 1
+    np.testing.assert_allclose(read.T_imu_cam0, sequence.rig.T_imu_cam0, atol=1e-12)
 
 
 def test_what_is_there_is_kept(euroc: Path, tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ NOT_OURS = {
 }
 NOT_RUN = {
     r"ovmot ros2? ": "needs a ROS master; see make test-ros",
+    r"ovmot (demo|warmup)": "minutes; the demo is tried by the wheel's own tests",
     r"ovmot batch ": "takes minutes; tests/batch runs plans",
     r"ovmot .*\$DATA": "real data",
     r"ovmot run kitti/": "real data",

@@ -42,6 +42,14 @@ def test_path_speed_and_health_are_the_run_s(folder: Path) -> None:
     json.dumps(run, allow_nan=False)
 
 
+def test_objects_that_were_not_looked_for(tmp_path: Path, painted_rig: StereoRig) -> None:
+    off = Settings.model_validate({"objects": {"enabled": False}})
+    run = one(write_run(tmp_path / "off", painted_rig, settings=off))
+    facts = {fact["name"]: fact["value"] for fact in run["facts"]}
+    assert facts["objects"] == "not looked for"
+    assert run["looked_for_objects"] is False
+
+
 def test_objects_have_their_path_and_a_row(folder: Path) -> None:
     run = one(folder)
     assert [track["id"] for track in run["tracks"]] == [1, 2]  # the tentative one is none

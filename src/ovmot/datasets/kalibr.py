@@ -264,16 +264,17 @@ def check_rig(folder: Path, rig: StereoRig) -> None:
 def write_chain(path: Path, rig: StereoRig) -> None:
     """`cam0`, `cam1` with `T_cam_imu`, and `timeshift_cam_imu`: t_imu = t_cam + shift.
 
-    A skew is written as `skew`, a key that only ovmot reads.
+    Of a monocular rig `cam0` alone. A skew is written as `skew`, a key that only ovmot reads.
     """
     values = {}
-    for name, other, camera, T_imu_cam in (
+    cameras = (
         ("cam0", 1, rig.cam0, rig.T_imu_cam0),
         ("cam1", 0, rig.cam1, rig.T_imu_cam1),
-    ):
+    )[: rig.n_cameras]
+    for name, other, camera, T_imu_cam in cameras:
         values[name] = {
             "T_cam_imu": se3.inverse(T_imu_cam).tolist(),
-            "cam_overlaps": [other],
+            "cam_overlaps": [other][: rig.n_cameras - 1],
             **kalibr_keys(camera),
             "resolution": [camera.width, camera.height],
             "rostopic": f"/{name}/image_raw",
@@ -281,7 +282,8 @@ def write_chain(path: Path, rig: StereoRig) -> None:
         }
         if camera.intrinsics[4] != 0.0:
             values[name]["skew"] = float(camera.intrinsics[4])
-    values["cam1"]["T_cn_cnm1"] = rig.T_cam1_cam0.tolist()
+    if rig.n_cameras == 2:
+        values["cam1"]["T_cn_cnm1"] = rig.T_cam1_cam0.tolist()
     write_yaml(path, values)
 
 

@@ -129,6 +129,14 @@ class Run:
         """The settings that the run used."""
         return make_settings(self.summary["settings"], (), str(self.folder / RUN_JSON))
 
+    @property
+    def looked_for_objects(self) -> bool:
+        """False for a run with one camera or `--no-objects`; True where `run.json` is missing."""
+        if not (self.folder / RUN_JSON).is_file():
+            return True
+        used = self.summary.get("settings", {})
+        return bool(used.get("objects", {}).get("enabled", True))
+
     def to_pandas(self, table: str) -> "DataFrame":
         """A table as a DataFrame with the same columns: "state", "tracks", "points", ...
 

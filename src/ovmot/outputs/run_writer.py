@@ -60,7 +60,7 @@ OutputFactory = Callable[[Path, RunContext], Output]
 
 OUTPUTS: dict[str, OutputFactory] = {
     "trajectory.tum": lambda path, _: TrajectoryTable(path),
-    "state.csv": lambda path, _: StateTable(path),
+    "state.csv": lambda path, context: StateTable(path, context.rig.n_cameras),
     "covariance.csv": lambda path, _: CovarianceTable(path),
     "calibration.csv": lambda path, _: CalibrationTable(path),
     "tracks.csv": lambda path, _: TracksTable(path),

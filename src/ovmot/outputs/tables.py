@@ -4,6 +4,7 @@ Lengths are in metres, speeds in m/s, angles in rad. A field without a value (Na
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations_with_replacement
 from pathlib import Path
 
@@ -37,8 +38,8 @@ class TrajectoryTable:
 class StateTable:
     """`state.csv`: the filter's state at every frame and the standard deviation of each part.
 
-    `T_imu_cam0` and `T_imu_cam1` are written as position and quaternion; the deviation of the
-    rotation is that of its right perturbation, in rad.
+    `T_imu_cam0` and `T_imu_cam1` are written as position and quaternion, the second one only for a
+    rig of two cameras; the deviation of the rotation is that of its right perturbation, in rad.
     """
 
     columns = (
@@ -55,11 +56,14 @@ class StateTable:
     )
     _row = "%d" + ",%.9f" * 31 + ",%d" + ",%.9f" * 16 + ",%d,%s"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, n_cameras: int = 2) -> None:
         self._file = RowFile(path, self.columns + "\n")
+        self._n_cameras = n_cameras
 
     def write(self, result: FrameResult) -> None:
         ego = result.ego
+        if self._n_cameras == 1:  # its pose is a placeholder
+            ego = replace(ego, T_imu_cam1=np.full((4, 4), np.nan))
         fields = (result.timestamp_ns, *_state_fields(ego), result.segment, ego.health.value)
         self._file.append(format_rows(self._row, [fields]))
 

@@ -103,6 +103,7 @@ def run_contents(placed: Placed, name: str, zero_ns: int, room: Room) -> dict[st
         else _truth(placed.truth, frame_ns[kept])
         | _true_objects(placed, frame_ns[kept], room.path_rows),
         "tracks": map_paths(paths, placed, frame_ns[kept], room.path_rows),
+        "looked_for_objects": run.looked_for_objects,
         "objects": [row | {"view": pictures.views.get(row["id"])} for row in objects],
         "timing": _timing(run, frame_ns[kept]),
         "warnings": _warnings(summary),
@@ -273,7 +274,7 @@ def _facts(
         "duration": f"{seconds:.1f} s",
         "path": f"{steps.sum():.1f} m",
         "tracking": f"{tracking:.1f} %" if tracking < 100.0 else "100 %",
-        "objects": f"{n_objects}",
+        "objects": f"{n_objects}" if run.looked_for_objects else "not looked for",
     }
     if len(run.state) and summary.get("wall_seconds"):
         facts["frames/s"] = f"{len(state) / summary['wall_seconds']:.1f}"

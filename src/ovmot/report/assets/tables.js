@@ -4,7 +4,7 @@
 function objectTable(host) {
   const rows = RUNS.flatMap((run, i) => run.objects.map((object) => ({ ...object, run: run.name, color: runColor(i) })));
   if (!rows.length) {
-    host.append(make("p", { class: "quiet" }, "No moving object was confirmed."));
+    host.append(make("p", { class: "quiet" }, RUNS.some((run) => run.looked_for_objects) ? "No moving object was confirmed." : "Moving objects were not looked for."));
     return;
   }
   const jump = (row) => make(
