@@ -165,7 +165,7 @@ def run(
     import ovmot
     from ovmot.cli.compiling import compiling
     from ovmot.cli.progress import HealthWatch, progress, say_result, style_of
-    from ovmot.cli.recorded import open_recorded
+    from ovmot.cli.recorded import open_recorded, repeated_options
 
     style = style_of(quiet, json_lines)
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
@@ -186,6 +186,10 @@ def run(
         options = ovmot.RunOptions(
             out, _ego_poses(ego), save_points, video, force, first, last, masks, (watch, *more),
             given.mask_files, threads, view, preview=not no_report,
+            doctor_options=repeated_options(
+                format=format, sequence=sequence, calibration=calibration, left=left, right=right,
+                imu=imu, config=config,
+            ),
         )  # fmt: skip
         wait_for_kernels()
     said = set(recorded.warnings)

@@ -1,5 +1,6 @@
 """Open what the commands that read a recorded sequence are given, all in the same way."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -41,3 +42,8 @@ def open_recorded(
             need_pairs,
         )
     return given, replace(recorded, warnings=(*given.warnings, *recorded.warnings))
+
+
+def repeated_options(**given: str | Path | None) -> str:
+    """The options that were given, by their names, as another command takes them."""
+    return " ".join(f"--{name} {shlex.quote(str(v))}" for name, v in given.items() if v is not None)
