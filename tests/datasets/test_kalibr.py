@@ -224,3 +224,12 @@ def test_a_principal_point_outside_the_image_is_refused(chain: Path) -> None:
     chain.write_text(CHAIN.replace("367.2, 248.3", "367.2, 648.3"))
     with pytest.raises(CalibrationError, match=r"cam0: the principal point .* outside the image"):
         read_kalibr(chain)
+
+
+def test_a_translation_in_millimetres_is_refused(chain: Path) -> None:
+    chain.write_text(CHAIN.replace("0.0, 1.0, 0.1]", "0.0, 1.0, 1710.0]"))
+    with pytest.raises(CalibrationError) as found:
+        read_kalibr(chain)
+    told = "the left camera stands 1710 m from the IMU; translations are in metres"
+    assert str(found.value) == f"{chain}: 'cam0.T_imu_cam': {told}"
+    read_kalibr(chain, need_imu_pose=False)

@@ -27,6 +27,7 @@ from ovmot.types import ImuNoise
 CHAIN_FILE = "kalibr_imucam_chain.yaml"
 IMU_FILE = "kalibr_imu_chain.yaml"
 _MAX_CLOCK_DIFFERENCE_S = 0.002
+_FARTHEST_M = 20.0  # of a camera from its IMU: more is millimetres, or another origin
 _SAME_M, _SAME_DEG = 1e-3, 0.05  # what rounding may do; half a pixel of a common camera
 
 
@@ -64,7 +65,9 @@ def read_kalibr_mount(path: Path) -> Mount:
     """What a chain says of `cam0`'s place and clock; raises `CalibrationError`."""
     chain = _chain_file(path)
     cam0 = load_calibration_yaml(chain).child("cam0")
-    return Mount(_pose_on_imu(cam0, None), _time_offset(cam0, cam0), _noise_beside(chain))
+    T_imu_cam0 = _pose_on_imu(cam0, None)
+    _refuse_far(cam0, T_imu_cam0)
+    return Mount(T_imu_cam0, _time_offset(cam0, cam0), _noise_beside(chain))
 
 
 def read_kalibr_rig(path: Path) -> StereoRig:
@@ -96,6 +99,8 @@ def read_kalibr_cameras(
         poses = [se3.inverse(T_first[0]) @ T for T in T_first]
         notes = (f"{path}: no pose on the IMU: the given poses are those of the left camera",)
     cameras = [calibrated_camera(node, "distortion_coeffs") for node in nodes]
+    if need_imu_pose:
+        _refuse_far(nodes[0], poses[0])
     rig = make_rig(path, cameras, poses, _time_offset(nodes[0], nodes[-1]))
     if len(names) > 2:
         note = (
@@ -239,6 +244,15 @@ def _pose_on_imu(camera: CalibrationNode, T_imu_previous: FloatArray | None) -> 
         return T_imu_previous @ se3.inverse(camera.transform("T_cn_cnm1"))
     remedy = "add T_cam_imu or T_imu_cam, or run it with --ego poses FILE"
     raise camera.fail("T_cam_imu", "the camera's pose is missing", remedy)
+
+
+def _refuse_far(left: CalibrationNode, T_imu_left: FloatArray) -> None:
+    """Raise `CalibrationError` where the left camera is too far from the IMU to be on one rig."""
+    apart_m = float(np.linalg.norm(T_imu_left[:3, 3]))
+    if apart_m > _FARTHEST_M:
+        key = "T_imu_cam" if left.has("T_imu_cam") else "T_cam_imu"
+        problem = f"the left camera stands {apart_m:.4g} m from the IMU"
+        raise left.fail(key, problem, "translations are in metres")
 
 
 def _time_offset(cam0: CalibrationNode, cam1: CalibrationNode) -> float:
