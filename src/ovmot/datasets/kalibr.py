@@ -19,7 +19,7 @@ from ovmot.datasets.calibration import (
     make_rig,
     read_imu_noise,
 )
-from ovmot.errors import InputError
+from ovmot.errors import CalibrationError, InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import ImuNoise
@@ -88,6 +88,9 @@ def read_kalibr_cameras(
     camera stands for the IMU.
     """
     chain = load_calibration_yaml(path)
+    if chain.has("camera_matrix") and not chain.has("cam0"):
+        problem = "is a ROS camera file of one camera"
+        raise CalibrationError.at(path, problem, "write both cameras into a chain (cam0, cam1)")
     chain.child("cam0")  # which may be missing
     names = _camera_names(chain)
     chosen = _chosen(chain, names, left, right)
@@ -185,8 +188,9 @@ def _poses_on_imu(
 def _pose_in_chain(chain: CalibrationNode, names: Sequence[str], name: str) -> FloatArray:
     """T_imu_cam of a camera, through those before it where it says no more."""
     camera, k = chain.child(name), names.index(name)
-    own = _has_pose(camera) or not camera.has("T_cn_cnm1")
-    before = None if own or k == 0 else _pose_in_chain(chain, names, names[k - 1])
+    before = None
+    if k > 0 and not _has_pose(camera):
+        before = _pose_in_chain(chain, names, names[k - 1])
     return _pose_on_imu(camera, before)
 
 
@@ -242,8 +246,12 @@ def _pose_on_imu(camera: CalibrationNode, T_imu_previous: FloatArray | None) -> 
         return se3.inverse(camera.transform("T_cam_imu"))
     if T_imu_previous is not None and camera.has("T_cn_cnm1"):
         return T_imu_previous @ se3.inverse(camera.transform("T_cn_cnm1"))
-    remedy = "add T_cam_imu or T_imu_cam, or run it with --ego poses FILE"
-    raise camera.fail("T_cam_imu", "the camera's pose is missing", remedy)
+    if T_imu_previous is not None:
+        remedy = "add it: kalibr_calibrate_cameras writes it"
+        raise camera.fail("T_cn_cnm1", "the pose against the camera before is missing", remedy)
+    by = "kalibr_calibrate_imu_camera writes it"
+    remedy = f"add T_cam_imu ({by}) or T_imu_cam, or run it with --ego poses FILE"
+    raise camera.fail("T_cam_imu", "the camera's pose on the IMU is missing", remedy)
 
 
 def _refuse_far(left: CalibrationNode, T_imu_left: FloatArray) -> None:
