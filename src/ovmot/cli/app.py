@@ -207,11 +207,14 @@ def run(
     for warning, count in summary.warnings.items():
         if warning not in said:
             say(f"ovmot: warning: {warning} ({count})")
+    if (other := watch.other_offset()) is not None:
+        say(f"ovmot: {other}")
     written = summary.counts["frames_written"]
+    objects = f", {watch.counted_objects()}" if summary.settings.objects.enabled else ""
     rate = written / max(summary.wall_seconds, 1e-9)
     took = f"{summary.wall_seconds:.1f} s ({rate:.1f} frames/s)"
     say_result(
-        style, f"{written} frames in {took} -> {out}",
+        style, f"{written} frames{objects} in {took} -> {out}",
         frames=written, seconds=round(summary.wall_seconds, 3), out=str(out),
     )  # fmt: skip
     if not no_report:
