@@ -170,7 +170,7 @@ def test_a_motion_that_is_not_seen_is_said(tmp_path: Path) -> None:
         "ovmot doctor",
     ):
         assert part in texts
-    fine = Counter(stereo_matches=100, stereo_matches_refused=40)
+    fine = Counter(stereo_matches=100, stereo_matches_refused=15)
     assert not run_module._warnings(Counter(), RunOptions(tmp_path), SETTINGS, fine)
 
 

@@ -46,7 +46,7 @@ from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_f
 
 _SAY_EVERY_NS = 1_000_000_000
 _UPDATE_EVERY_S = 5.0  # of the clock on the wall
-_MOST_REFUSED = 0.5  # of the stereo matches: beyond, the calibration is to be doubted
+_MOST_REFUSED = 0.2  # of the stereo matches: beyond, the calibration is to be doubted
 
 
 _LEFT_OUT = {
@@ -85,6 +85,8 @@ class RunOptions:
         Factories of further outputs; each result is given to them too.
     threads
         Of the odometry, 1 or 2, beside the one that reads and writes; the results are the same.
+    doctor_options
+        What `ovmot doctor` needs, beside the data, to read the same: hints repeat it.
     """
 
     out: StrPath
@@ -100,6 +102,7 @@ class RunOptions:
     threads: int = 1
     view: View = "objects"
     preview: bool = False
+    doctor_options: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +177,7 @@ def run_sequence(
         warnings=Counter([*sequence.warnings, *no_objects]),
         ego="filter" if poses is None else "poses",
         preset=sequence.preset,
-        check=RunCheck(sequence, settings) if poses is None else None,
+        check=RunCheck(sequence, settings, options.doctor_options) if poses is None else None,
     )
     return run_into_folder(source, settings, options, on_frame, on_wait)
 

@@ -60,7 +60,9 @@ def test_settings_lists_every_key(ovmot_command: Command, monkeypatch: pytest.Mo
 def test_a_run(ovmot_command: Command, painted_euroc: Path, tmp_path: Path) -> None:
     outcome = ovmot_command("run", painted_euroc, "-o", tmp_path / "out", "--save-points", *FAST)
     assert outcome.code == 0, outcome.err
-    found = re.match(r"(\d+) frames in [\d.]+ s \([\d.]+ frames/s\) -> ", outcome.out)
+    found = re.match(
+        r"(\d+) frames, \d+ moving objects? in [\d.]+ s \([\d.]+ frames/s\) -> ", outcome.out
+    )
     assert found is not None
     assert int(found.group(1)) == whole_rows(tmp_path / "out" / "state.csv") >= 6
     assert whole_rows(tmp_path / "out" / "points.csv") > 100
@@ -84,7 +86,7 @@ def test_given_poses_need_no_pose_on_the_imu(
     command = ("run", painted_euroc, "--calibration", chain, "-o", tmp_path / "out", *FAST)
     said = ovmot_command(*command)
     assert said.code == 2
-    assert "T_cam_imu': the camera's pose is missing" in said.complaint
+    assert "T_cam_imu': the camera's pose on the IMU is missing" in said.complaint
     said = ovmot_command(*command, "--ego", "poses", poses)
     assert said.code == 0, said.err
     assert "the given poses are those of the left camera" in said.err

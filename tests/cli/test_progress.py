@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ovmot.cli.progress import Style, progress, stages
+from ovmot.cli.progress import HealthWatch, Style, progress, stages
 
 Command = Callable[..., Any]
 FAST = ["--set", "tracker.max_features=80", "--set", "tracker.equalization=none"]
@@ -63,3 +63,19 @@ def test_json_lines_come_once_a_second_and_at_the_end(capfd: pytest.CaptureFixtu
             advance(done)
     (line,) = capfd.readouterr().out.splitlines()
     assert json.loads(line)["done"] == 3
+
+
+def test_an_offset_of_the_clocks_that_was_not_given_is_said() -> None:
+    watch = HealthWatch(given_offset_s=0.0, offset_s=(-0.0437, 0.0005))
+    told = watch.other_offset()
+    assert told is not None
+    assert (
+        "given 0.0000 s: to start from it, run with --set recording.time_offset_s=-0.0437" in told
+    )
+    for found in ((0.009, 0.0005), (0.02, 0.01), (float("nan"), float("nan"))):
+        assert HealthWatch(offset_s=found).other_offset() is None
+
+
+def test_moving_objects_in_words() -> None:
+    assert HealthWatch(objects={3}).counted_objects() == "1 moving object"
+    assert HealthWatch(objects={1, 4}).counted_objects() == "2 moving objects"

@@ -1,5 +1,6 @@
 """A recording as the settings correct it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from ovmot.datasets import open_sequence
 from ovmot.datasets.corrections import corrected
+from ovmot.datasets.imu import BY_UNIT
 from ovmot.errors import DatasetError
 from ovmot.settings import RecordingSettings, Settings
 from ovmot.types import ImuSample, StereoFrame
@@ -29,6 +31,20 @@ def test_units(euroc: Path) -> None:
     assert samples
     np.testing.assert_array_equal(samples[0].accel, scaled.imu.accel[0])
     assert scaled.settings() == Settings()
+
+
+def test_a_scale_that_mends_the_unit_takes_its_warning_away(euroc: Path) -> None:
+    sequence = open_sequence(euroc)
+    assert sequence.imu is not None
+    in_g = replace(
+        sequence, imu=replace(sequence.imu, accel=sequence.imu.accel / 9.80665),
+        counts={**sequence.counts, "imu_units": 1},
+        warnings=(*sequence.warnings, f"imu: 1 m/s², {BY_UNIT}: g"),
+    )  # fmt: skip
+    mended = corrected(in_g, RecordingSettings(accel_scale=9.80665))
+    assert (mended.counts, mended.warnings) == (sequence.counts, sequence.warnings)
+    other = corrected(in_g, RecordingSettings(accel_scale=2.0))
+    assert (other.counts, other.warnings) == (in_g.counts, in_g.warnings)
 
 
 def test_exchanged_cameras(euroc: Path) -> None:

@@ -109,7 +109,7 @@ def test_pose_given_the_other_way_round(chain: Path) -> None:
         ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: pin", "'pin' is not known"),
         ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: omni", "expected 5 numbers"),
         ("cam_overlaps: [1]\n  camera_model: pinhole", "camera_model: ds", "expected 6 numbers"),
-        ("T_cn_cnm1", "T_other", "'cam1.T_cam_imu': the camera's pose is missing"),
+        ("T_cn_cnm1", "T_other", "'cam1.T_cn_cnm1': the pose .* is missing; add it"),
         ("-0.11]", "0.0]", "same place"),
         ("-0.11]", "-110.0]", "110 m apart .translations are in metres"),
         ("timeshift_cam_imu: 0.005", "timeshift_cam_imu: 1e300", "no clock is 1e.300 s off"),
@@ -188,7 +188,9 @@ def without_imu(chain: str) -> str:
 
 def test_a_chain_without_imu_serves_for_given_poses(chain: Path) -> None:
     chain.write_text(without_imu(CHAIN))
-    with pytest.raises(CalibrationError, match=r"cam0\.T_cam_imu.*missing; .*--ego poses FILE"):
+    with pytest.raises(
+        CalibrationError, match=r"cam0\.T_cam_imu.*kalibr_calibrate_imu.*--ego poses"
+    ):
         read_kalibr(chain)
     found = read_kalibr(chain, need_imu_pose=False)
     np.testing.assert_array_equal(found.rig.T_imu_cam0, np.eye(4))
@@ -224,3 +226,19 @@ def test_a_principal_point_outside_the_image_is_refused(chain: Path) -> None:
     chain.write_text(CHAIN.replace("367.2, 248.3", "367.2, 648.3"))
     with pytest.raises(CalibrationError, match=r"cam0: the principal point .* outside the image"):
         read_kalibr(chain)
+
+
+def test_a_translation_in_millimetres_is_refused(chain: Path) -> None:
+    chain.write_text(CHAIN.replace("0.0, 1.0, 0.1]", "0.0, 1.0, 1710.0]"))
+    with pytest.raises(CalibrationError) as found:
+        read_kalibr(chain)
+    told = "the left camera stands 1710 m from the IMU; translations are in metres"
+    assert str(found.value) == f"{chain}: 'cam0.T_imu_cam': {told}"
+    read_kalibr(chain, need_imu_pose=False)
+
+
+def test_a_camera_file_of_ros_is_told_from_a_chain(chain: Path) -> None:
+    chain.write_text("image_width: 640\ncamera_matrix: {rows: 3, cols: 3, data: [1, 0, 0]}\n")
+    with pytest.raises(CalibrationError) as found:
+        read_kalibr(chain)
+    assert "is a ROS camera file of one camera; write both cameras into a chain" in str(found.value)

@@ -88,6 +88,12 @@ def turn_right_camera(root: Path) -> None:
     write_right_pose(root, right)
 
 
+def invert_right_pose(root: Path) -> None:
+    """The right camera as far to the left of the left one as it is to its right."""
+    left, right = poses_of(root)
+    write_right_pose(root, left @ np.linalg.inv(right) @ left)
+
+
 def lengthen_baseline(root: Path) -> None:
     """The right camera 1.3 times as far from the left one as it is."""
     left, right = poses_of(root)
@@ -121,6 +127,6 @@ FAULTS: dict[str, Callable[[Path], None]] = {
     fault.__name__: fault
     for fault in (
         swap_sides, accel_in_g, gyro_in_degrees, accel_negated, clock_ahead, turn_right_camera,
-        lengthen_baseline, drop_frames,
+        invert_right_pose, lengthen_baseline, drop_frames,
     )
 }  # fmt: skip

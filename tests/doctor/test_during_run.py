@@ -13,6 +13,7 @@ from ovmot.datasets.registry import open_sequence
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.doctor.during_run import RunCheck
 from ovmot.errors import OvmotError
+from ovmot.geometry import se3, so3
 from ovmot.run import RunOptions, run_sequence
 from ovmot.settings import Settings
 
@@ -80,7 +81,7 @@ def test_a_run_that_goes_well_is_not_examined(walked: Path) -> None:
     [
         {"resets": 1},
         {"frames_lost": 5, "frames_degraded": 5},
-        {"stereo_matches": 1000, "stereo_matches_refused": 600},
+        {"stereo_matches": 1000, "stereo_matches_refused": 250},
     ],
 )
 def test_a_run_that_is_unwell_is_examined_once(walked: Path, counts: dict[str, int]) -> None:
@@ -92,6 +93,40 @@ def test_a_run_that_is_unwell_is_examined_once(walked: Path, counts: dict[str, i
     (line,) = check.after(stamp, True, unwell)
     assert "time offset" in line
     assert list(check.after(stamp, True, unwell)) == []
+
+
+def test_what_no_setting_mends_is_said_too(walked: Path) -> None:
+    """The camera on the IMU is turned: nothing but another calibration helps."""
+    sequence = open_sequence(walked)
+    T_imu_cam0, T_imu_cam1 = sequence.rig.T_imu_cam0, sequence.rig.T_imu_cam1
+    turn = se3.make(so3.exp(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3))
+    rig = replace(sequence.rig, T_imu_cam0=turn @ T_imu_cam0, T_imu_cam1=turn @ T_imu_cam1)
+    check = RunCheck(replace(sequence, rig=rig), sequence.settings(), "--calibration c.yaml")
+    assert after(check, sequence, 20, started=True) == []
+    unwell = Counter(frames_degraded=10)
+    lines = list(check.after(int(sequence.frame_ns[-1]), True, unwell))
+    assert any(line.startswith("camera on IMU: ") for line in lines)
+    assert all(line.endswith(f"'ovmot doctor {walked} --calibration c.yaml' says more")
+               for line in lines)  # fmt: skip
+
+
+def test_frames_on_the_imu_alone_point_to_the_doctor(walked: Path) -> None:
+    sequence = open_sequence(walked)
+    check = RunCheck(sequence, sequence.settings())
+    assert after(check, sequence, 20, started=True) == []
+    stamp, unwell = int(sequence.frame_ns[40]), Counter(frames_degraded=7, frames_lost=5)
+    (line,) = check.after(stamp, True, unwell)
+    assert line == f"12 frames rest on the IMU alone: 'ovmot doctor {walked}' may say why"
+    assert list(check.after(stamp, True, unwell)) == []
+
+
+def test_a_good_share_of_refused_matches_is_not_examined(walked: Path) -> None:
+    sequence = open_sequence(walked)
+    rig = replace(sequence.rig, time_offset_s=0.3)
+    check = RunCheck(replace(sequence, rig=rig), sequence.settings())
+    assert after(check, sequence, 20, started=True) == []
+    few = Counter(stereo_matches=1000, stereo_matches_refused=150)
+    assert list(check.after(int(sequence.frame_ns[40]), True, few)) == []
 
 
 def test_a_camera_that_hangs_upside_down_is_told_with_an_if(walked: Path) -> None:

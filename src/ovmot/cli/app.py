@@ -165,7 +165,7 @@ def run(
     import ovmot
     from ovmot.cli.compiling import compiling
     from ovmot.cli.progress import HealthWatch, progress, say_result, style_of
-    from ovmot.cli.recorded import open_recorded
+    from ovmot.cli.recorded import open_recorded, repeated_options
 
     style = style_of(quiet, json_lines)
     overrides = [*(set_ or ()), *(["objects.enabled=false"] if no_objects else [])]
@@ -186,6 +186,10 @@ def run(
         options = ovmot.RunOptions(
             out, _ego_poses(ego), save_points, video, force, first, last, masks, (watch, *more),
             given.mask_files, threads, view, preview=not no_report,
+            doctor_options=repeated_options(
+                format=format, sequence=sequence, calibration=calibration, left=left, right=right,
+                imu=imu, config=config,
+            ),
         )  # fmt: skip
         wait_for_kernels()
     said = set(recorded.warnings)
@@ -203,11 +207,14 @@ def run(
     for warning, count in summary.warnings.items():
         if warning not in said:
             say(f"ovmot: warning: {warning} ({count})")
+    if (other := watch.other_offset()) is not None:
+        say(f"ovmot: {other}")
     written = summary.counts["frames_written"]
+    objects = f", {watch.counted_objects()}" if summary.settings.objects.enabled else ""
     rate = written / max(summary.wall_seconds, 1e-9)
     took = f"{summary.wall_seconds:.1f} s ({rate:.1f} frames/s)"
     say_result(
-        style, f"{written} frames in {took} -> {out}",
+        style, f"{written} frames{objects} in {took} -> {out}",
         frames=written, seconds=round(summary.wall_seconds, 3), out=str(out),
     )  # fmt: skip
     if not no_report:

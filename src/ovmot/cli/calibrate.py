@@ -16,9 +16,10 @@ from ovmot.cli.options import (
     SequenceOption,
     SetOption,
 )
+from ovmot.errors import InputError
 
 if TYPE_CHECKING:
-    from ovmot import WrittenCalibration
+    from ovmot import RecordedSequence, Settings, WrittenCalibration
 
 _RUN_JSON = "run.json"
 
@@ -42,7 +43,13 @@ def calibrate(
         Path | None, typer.Option(help="YAML of settings for the run that estimates.")
     ] = None,
     set_: SetOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Replace files that are there, and write what the stereo check refuses.",
+        ),
+    ] = False,
 ) -> None:
     """Write a calibration as a Kalibr chain, the IMU's noise as OpenVINS's file beside it.
 
@@ -52,6 +59,7 @@ def calibrate(
     import ovmot
     from ovmot.cli.progress import progress
     from ovmot.cli.recorded import open_recorded
+    from ovmot.datasets.calibration_export import calibration_files
 
     if not as_is and (data / _RUN_JSON).is_file():
         _write_found(data, data, out, force)
@@ -67,12 +75,30 @@ def calibrate(
         more = [*overrides, "calibration.extrinsics=true"]
         given = ovmot.load_run_config(config, more, left, right)
     settings = recorded.settings(given.settings)
+    calibration_files(out, recorded.imu is not None, force)  # before the work, not after it
     ovmot.prepare_process()
+    _refuse_mistakes(recorded, settings, force)
     with TemporaryDirectory() as folder:
         options = ovmot.RunOptions(folder, force=True)
         with interruptible(NOTHING_WRITTEN), progress("run", len(recorded)) as advance:
             ovmot.run_sequence(recorded, settings, options, advance)
         _write_found(data, Path(folder), out, force)
+
+
+def _refuse_mistakes(recorded: "RecordedSequence", settings: "Settings", force: bool) -> None:
+    """Raise `InputError` for a mistake that an estimate would hide: it corrects small errors."""
+    from ovmot.cli.progress import progress
+    from ovmot.doctor.examine import sampled_frames, stereo_mistake
+
+    with interruptible(NOTHING_WRITTEN), progress("check", sampled_frames(recorded)) as advance:
+        found = stereo_mistake(recorded, settings, advance)
+    if found is None:
+        return
+    fix = "".join(f" (--set {key}={str(value).lower()})" for key, value in found.fix.items())
+    line = f"{found.says}; {found.remedy}{fix}"
+    if not force:
+        raise InputError.at(recorded.root, line, "--force writes anyway")
+    say(f"ovmot: warning: {line}")
 
 
 def _write_found(data: Path, run: Path, out: Path, force: bool) -> None:

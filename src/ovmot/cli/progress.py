@@ -1,11 +1,12 @@
 """How far a command is: a bar on a terminal, lines of JSON where they are asked for."""
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from ovmot import FrameResult, RunContext
 
 _JSON_EVERY_S = 1.0
+_SAME_OFFSET_S = 0.01
 
 
 class Style(Enum):
@@ -71,20 +73,46 @@ def json_line(event: str, **values: Any) -> None:
 
 @dataclass(slots=True)
 class HealthWatch:
-    """The health of the newest frame: an output of a run that writes nothing."""
+    """What is said of a run: an output that writes nothing.
+
+    The health and the clocks' offset (with its sigma, s) of the newest frame, the offset that was
+    given, and the numbers of all moving objects that were confirmed.
+    """
 
     health: str = "starting"
+    given_offset_s: float = 0.0
+    offset_s: tuple[float, float] = (math.nan, math.nan)
+    objects: set[int] = field(default_factory=set)
 
     def __call__(self, context: "RunContext") -> "HealthWatch":
         """Itself, as the factory that a run asks for."""
+        self.given_offset_s = context.rig.time_offset_s
         return self
 
     def write(self, result: "FrameResult") -> None:
-        """Note one frame's health."""
+        """Note one frame."""
         self.health = result.health.value
+        self.offset_s = result.ego.time_offset_s, result.ego.time_offset_std_s
+        self.objects.update(t.track_id for t in result.tracks if t.state == "confirmed")
 
     def close(self) -> None:
         """Nothing is open."""
+
+    def counted_objects(self) -> str:
+        """How many objects moved, in words."""
+        return f"{len(self.objects)} moving object{'' if len(self.objects) == 1 else 's'}"
+
+    def other_offset(self) -> str | None:
+        """That the clocks' offset was found to be another than the one given, if it surely is."""
+        found, sigma = self.offset_s
+        apart = abs(found - self.given_offset_s)
+        if not apart > max(_SAME_OFFSET_S, 3.0 * sigma):  # NaN without an estimate
+            return None
+        return (
+            f"the clocks' offset (t_imu - t_camera) was found to be {found:.4f} s, given"
+            f" {self.given_offset_s:.4f} s: to start from it, run with"
+            f" --set recording.time_offset_s={found:.4f}"
+        )
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Open what the commands that read a recorded sequence are given, all in the same way."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import ovmot
 from ovmot import RecordedSequence, RunConfig
 from ovmot.cli.console import NOTHING_WRITTEN, interruptible
+from ovmot.datasets.corrections import without_mended_warnings
 
 
 def open_recorded(
@@ -40,4 +42,10 @@ def open_recorded(
             need_imu_pose,
             need_pairs,
         )
+    recorded = without_mended_warnings(recorded, given.settings.recording)
     return given, replace(recorded, warnings=(*given.warnings, *recorded.warnings))
+
+
+def repeated_options(**given: str | Path | None) -> str:
+    """The options that were given, by their names, as another command takes them."""
+    return " ".join(f"--{name} {shlex.quote(str(v))}" for name, v in given.items() if v is not None)

@@ -32,6 +32,19 @@ def write_calibration(
     return write_rig(path, sequence.rig, sequence.imu_noise, _rate_hz(sequence.imu), replace)
 
 
+def calibration_files(path: StrPath, with_noise: bool, replace: bool) -> tuple[Path, ...]:
+    """The chain to write, and the file of the IMU's noise beside it.
+
+    Raises `InputError` where one is there already and is not to be replaced.
+    """
+    chain = Path(path)
+    files = (chain, chain.with_name(IMU_FILE)) if with_noise else (chain,)
+    for file in files:
+        if file.exists() and not replace:
+            raise InputError.at(file, "is there already", "give another name, or --force")
+    return files
+
+
 def write_rig(
     path: StrPath,
     rig: StereoRig,
@@ -43,10 +56,7 @@ def write_rig(
     """The same for a rig, with lines of `comment` above; `rate_hz`: of the IMU."""
     chain = Path(path)
     imu = chain.with_name(IMU_FILE)
-    files = (chain,) if noise is None else (chain, imu)
-    for file in files:
-        if file.exists() and not replace:
-            raise InputError.at(file, "is there already", "give another name, or --force")
+    files = calibration_files(path, noise is not None, replace)
     notes = _skew_notes(chain, rig)
     if noise is None:
         notes += (f"{chain}: the data does not say the IMU's noise: no {IMU_FILE} beside it",)

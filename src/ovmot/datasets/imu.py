@@ -7,11 +7,13 @@ import numpy as np
 from ovmot.datasets.findings import Findings, rising
 from ovmot.datasets.text_tables import StampedTable, ns_to_seconds
 from ovmot.errors import DatasetError
-from ovmot.geometry.arrays import IntArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.types import ImuData
 
 FASTEST_RPS = 35.0
 """2000 °/s, the widest range of common gyroscopes."""
+BY_UNIT = "where gravity alone is 9.81"
+"""In the warning about the accelerometer's unit."""
 _HARDEST_MPS2 = 400.0  # 40 g, beyond the range of common accelerometers
 _MOST_SPIKES = 0.01  # share of the samples
 _ACCEL_RANGE = (5.0, 15.0)
@@ -68,17 +70,26 @@ def _note_gaps(imu: ImuData, table: StampedTable, max_gap_s: float, findings: Fi
 
 
 def _note_units(imu: ImuData, table: StampedTable, findings: Findings) -> None:
-    usual = float(np.median(np.linalg.norm(imu.accel, axis=1)))
-    low, high = _ACCEL_RANGE
-    if not low <= usual <= high:
+    if not is_near_gravity(imu.accel):
+        usual = _usual(imu.accel)
         unit = "the unit may be g; convert to m/s²"
         if usual <= 0.5:
             unit = "gravity may have been taken off; write what the sensor measured"
         elif usual >= 1.5:
             unit = "the values may be raw counts; convert to m/s²"
         measured = f"{table.path}: median acceleration {usual:.3g} m/s²"
-        text = f"{measured}, where gravity alone is 9.81: {unit}"
+        text = f"{measured}, {BY_UNIT}: {unit}"
         findings.note("imu_units", 1, text)
+
+
+def is_near_gravity(accel: FloatArray) -> bool:
+    """Do accelerations (N, 3) look as if they were in m/s²?"""
+    low, high = _ACCEL_RANGE
+    return low <= _usual(accel) <= high
+
+
+def _usual(accel: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(accel, axis=1)))
 
 
 def _without_spikes(imu: ImuData, row: IntArray, path: Path | str, findings: Findings) -> ImuData:

@@ -19,7 +19,7 @@ from ovmot.datasets.calibration import (
     make_rig,
     read_imu_noise,
 )
-from ovmot.errors import InputError
+from ovmot.errors import CalibrationError, InputError
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.types import ImuNoise
@@ -27,6 +27,7 @@ from ovmot.types import ImuNoise
 CHAIN_FILE = "kalibr_imucam_chain.yaml"
 IMU_FILE = "kalibr_imu_chain.yaml"
 _MAX_CLOCK_DIFFERENCE_S = 0.002
+_FARTHEST_M = 20.0  # of a camera from its IMU: more is millimetres, or another origin
 _SAME_M, _SAME_DEG = 1e-3, 0.05  # what rounding may do; half a pixel of a common camera
 
 
@@ -64,7 +65,9 @@ def read_kalibr_mount(path: Path) -> Mount:
     """What a chain says of `cam0`'s place and clock; raises `CalibrationError`."""
     chain = _chain_file(path)
     cam0 = load_calibration_yaml(chain).child("cam0")
-    return Mount(_pose_on_imu(cam0, None), _time_offset(cam0, cam0), _noise_beside(chain))
+    T_imu_cam0 = _pose_on_imu(cam0, None)
+    _refuse_far(cam0, T_imu_cam0)
+    return Mount(T_imu_cam0, _time_offset(cam0, cam0), _noise_beside(chain))
 
 
 def read_kalibr_rig(path: Path) -> StereoRig:
@@ -85,6 +88,9 @@ def read_kalibr_cameras(
     camera stands for the IMU.
     """
     chain = load_calibration_yaml(path)
+    if chain.has("camera_matrix") and not chain.has("cam0"):
+        problem = "is a ROS camera file of one camera"
+        raise CalibrationError.at(path, problem, "write both cameras into a chain (cam0, cam1)")
     chain.child("cam0")  # which may be missing
     names = _camera_names(chain)
     chosen = _chosen(chain, names, left, right)
@@ -96,6 +102,8 @@ def read_kalibr_cameras(
         poses = [se3.inverse(T_first[0]) @ T for T in T_first]
         notes = (f"{path}: no pose on the IMU: the given poses are those of the left camera",)
     cameras = [calibrated_camera(node, "distortion_coeffs") for node in nodes]
+    if need_imu_pose:
+        _refuse_far(nodes[0], poses[0])
     rig = make_rig(path, cameras, poses, _time_offset(nodes[0], nodes[-1]))
     if len(names) > 2:
         note = (
@@ -180,8 +188,9 @@ def _poses_on_imu(
 def _pose_in_chain(chain: CalibrationNode, names: Sequence[str], name: str) -> FloatArray:
     """T_imu_cam of a camera, through those before it where it says no more."""
     camera, k = chain.child(name), names.index(name)
-    own = _has_pose(camera) or not camera.has("T_cn_cnm1")
-    before = None if own or k == 0 else _pose_in_chain(chain, names, names[k - 1])
+    before = None
+    if k > 0 and not _has_pose(camera):
+        before = _pose_in_chain(chain, names, names[k - 1])
     return _pose_on_imu(camera, before)
 
 
@@ -237,8 +246,21 @@ def _pose_on_imu(camera: CalibrationNode, T_imu_previous: FloatArray | None) -> 
         return se3.inverse(camera.transform("T_cam_imu"))
     if T_imu_previous is not None and camera.has("T_cn_cnm1"):
         return T_imu_previous @ se3.inverse(camera.transform("T_cn_cnm1"))
-    remedy = "add T_cam_imu or T_imu_cam, or run it with --ego poses FILE"
-    raise camera.fail("T_cam_imu", "the camera's pose is missing", remedy)
+    if T_imu_previous is not None:
+        remedy = "add it: kalibr_calibrate_cameras writes it"
+        raise camera.fail("T_cn_cnm1", "the pose against the camera before is missing", remedy)
+    by = "kalibr_calibrate_imu_camera writes it"
+    remedy = f"add T_cam_imu ({by}) or T_imu_cam, or run it with --ego poses FILE"
+    raise camera.fail("T_cam_imu", "the camera's pose on the IMU is missing", remedy)
+
+
+def _refuse_far(left: CalibrationNode, T_imu_left: FloatArray) -> None:
+    """Raise `CalibrationError` where the left camera is too far from the IMU to be on one rig."""
+    apart_m = float(np.linalg.norm(T_imu_left[:3, 3]))
+    if apart_m > _FARTHEST_M:
+        key = "T_imu_cam" if left.has("T_imu_cam") else "T_cam_imu"
+        problem = f"the left camera stands {apart_m:.4g} m from the IMU"
+        raise left.fail(key, problem, "translations are in metres")
 
 
 def _time_offset(cam0: CalibrationNode, cam1: CalibrationNode) -> float:

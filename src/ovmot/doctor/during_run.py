@@ -23,7 +23,7 @@ _IMU_S = 30.0  # of the IMU's samples, at the start
 _WAITED_S = (3.0, 10.0)  # without a start: the pictures are examined, and once more
 _YOUNG_S = 20.0  # after the first frame: what goes wrong later is not the recording's form
 _UNWELL_FRAMES = 10  # degraded or lost ones
-_LEAST_MATCHES, _MOST_REFUSED = 500, 0.5  # stereo matches, and the share refused
+_LEAST_MATCHES, _MOST_REFUSED = 500, 0.2  # stereo matches; of good recordings 0.02 are refused
 
 
 class RunCheck:
@@ -33,10 +33,15 @@ class RunCheck:
     ----------
     sequence, settings
         As they run: corrected, with the preset.
+    doctor_options
+        What `ovmot doctor` needs, beside the data, to read the same: the hints repeat it.
     """
 
-    def __init__(self, sequence: RecordedSequence, settings: Settings) -> None:
-        self._sequence, self._settings, self._data = sequence, settings, sequence.root
+    def __init__(
+        self, sequence: RecordedSequence, settings: Settings, doctor_options: str = ""
+    ) -> None:
+        self._sequence, self._settings = sequence, settings
+        self._doctor = f"ovmot doctor {sequence.root} {doctor_options}".rstrip()
         self._locations = locations_of(sequence.kind, None)
         self._begun_ns: int | None = None
         self._waits_s = list(_WAITED_S)
@@ -64,10 +69,14 @@ class RunCheck:
             found = list(self._of_pictures(stamp_ns))
             yield from found
             if not found and not self._said:
-                yield f"no start for {waited_s:g} s: 'ovmot doctor {self._data}' may say why"
+                yield f"no start for {waited_s:g} s: '{self._doctor}' may say why"
         elif self._may_be_unwell and since_s < _YOUNG_S and _is_unwell(counts):
             self._may_be_unwell = False
-            yield from self._of_pictures(stamp_ns)
+            found = list(self._of_pictures(stamp_ns))
+            yield from found
+            unwell = _on_imu_alone(counts)
+            if unwell and not found and not self._said:
+                yield f"{unwell} frames rest on the IMU alone: '{self._doctor}' may say why"
 
     def _of_pictures(self, stamp_ns: int) -> Iterator[str]:
         """What the newest frames show to be wrong; nothing where they can not be examined."""
@@ -80,8 +89,7 @@ class RunCheck:
             found = examine_stretches(sequence, [stretch], self._settings, self._locations)
         except OvmotError:
             return
-        wrong = [f for f in found if f.severity is Severity.WRONG and f.fix]
-        yield from self._lines(wrong)
+        yield from self._lines([f for f in found if f.severity is Severity.WRONG])
 
     def _lines(self, findings: list[Finding]) -> Iterator[str]:
         """A line for each finding of which nothing was said yet, with its remedy."""
@@ -92,13 +100,13 @@ class RunCheck:
             yield f"{finding.check}: {finding.says}: {self._remedy(finding)}"
 
     def _remedy(self, finding: Finding) -> str:
-        doctor = f"'ovmot doctor {self._data} --fix OUT.yaml'"
         if not finding.fix:
-            return f"{finding.remedy}; {doctor} says more"
+            remedy = f"{finding.remedy}; " if finding.remedy else ""
+            return f"{remedy}'{self._doctor}' says more"
         by = fix_over(finding.fix, self._settings)
         given = " ".join(f"--set {key}={_written(value)}" for key, value in by.items())
         if_doubtful = f"{finding.remedy}: " if finding.severity is Severity.DOUBTFUL else ""
-        return f"{if_doubtful}run with {given}, or see {doctor}"
+        return f"{if_doubtful}run with {given}, or see '{self._doctor} --fix OUT.yaml'"
 
 
 def _written(value: float | bool) -> str:
@@ -107,11 +115,14 @@ def _written(value: float | bool) -> str:
 
 def _is_unwell(counts: Mapping[str, int]) -> bool:
     """Was the motion lost, or has it rested on the IMU alone, or do most stereo matches not fit?"""
-    unwell = counts["frames_degraded"] + counts["frames_lost"]
-    if counts["resets"] or unwell >= _UNWELL_FRAMES:
+    if counts["resets"] or _on_imu_alone(counts) >= _UNWELL_FRAMES:
         return True
     tested = counts["stereo_matches"]
     return tested >= _LEAST_MATCHES and counts["stereo_matches_refused"] > _MOST_REFUSED * tested
+
+
+def _on_imu_alone(counts: Mapping[str, int]) -> int:
+    return counts["frames_degraded"] + counts["frames_lost"]
 
 
 def _first_seconds(imu: ImuData, seconds: float) -> ImuData:

@@ -17,7 +17,7 @@ from ovmot.doctor.imu_units import (
 from ovmot.doctor.locations import Locations, locations_of
 from ovmot.doctor.observe import choose_stretches, observe
 from ovmot.doctor.report import Finding, Report, Severity, make_report
-from ovmot.doctor.stereo_geometry import check_stereo
+from ovmot.doctor.stereo_geometry import beyond_correction, check_stereo
 from ovmot.doctor.stereo_scale import check_scale, fit_scale
 from ovmot.doctor.time_offset import check_gyro, fit_gyro
 from ovmot.doctor.timing import (
@@ -73,6 +73,24 @@ def examine(
     stretches = choose_stretches(sequence.frame_ns, sequence.imu)
     findings = examine_stretches(sequence, stretches, settings, locations, advance)
     return make_report(sequence.name, sequence.kind, findings)
+
+
+def stereo_mistake(
+    recorded: RecordedSequence,
+    settings: Settings,
+    advance: Callable[[int], None] = lambda done: None,
+) -> Finding | None:
+    """Exchanged images, an inverted pose and the like: what no small correction makes good.
+
+    `settings`: with those of the preset. None also for a rig of one camera. Raises `DatasetError`
+    where no image can be read.
+    """
+    sequence = corrected(recorded, settings.recording).of_pairs()
+    if sequence.rig.n_cameras == 1 or len(sequence) == 0:
+        return None
+    stretches = choose_stretches(sequence.frame_ns, sequence.imu)
+    seen = observe(sequence, stretches, settings, advance)
+    return beyond_correction(seen.matches, sequence.rig, locations_of(sequence.kind, None))
 
 
 def examine_stretches(

@@ -129,8 +129,7 @@ def check_stereo(
         return [Finding("stereo matches", Severity.DOUBTFUL, says, remedy)], rig
     given = fit_of(pixels, rig)
     free = fitted_extrinsics(pixels, rig, np.inf)
-    to_beat = min(_BETTER * given.cost_px, free.fit.cost_px)
-    mistaken = _best_alternative(pixels, rig, to_beat)
+    mistaken = _best_alternative(pixels, rig, _to_beat_px(given, free))
     if mistaken is not None:
         return [_named(mistaken, given, pixels, locations)], mistaken[1]
     turned = corrected_extrinsics(pixels, rig, free)
@@ -140,6 +139,24 @@ def check_stereo(
         return findings, rig
     model = _model_finding(pixels, turned.rig, turned.fit, locations)
     return [_turned(given, turned, severity, locations), model], turned.rig
+
+
+def beyond_correction(pixels: FloatArray, rig: StereoRig, locations: Locations) -> Finding | None:
+    """Why no small correction makes the rig explain stereo matches (N, 4), if none does: a mistake
+    of a usual kind, or one that is not known."""
+    if len(pixels) < _LEAST_MATCHES:
+        return None
+    given, free = fit_of(pixels, rig), fitted_extrinsics(pixels, rig, np.inf)
+    mistaken = _best_alternative(pixels, rig, _to_beat_px(given, free))
+    if mistaken is not None:
+        return _named(mistaken, given, pixels, locations)
+    explains = max(given.share, free.fit.share) >= _POOR
+    return None if explains else _as_given(given, locations)
+
+
+def _to_beat_px(given: Fit, free: TurnedRig) -> float:
+    """The cost below which another rig is believed: that of the free fit, and well below given."""
+    return min(_BETTER * given.cost_px, free.fit.cost_px)
 
 
 def alternatives(rig: StereoRig) -> dict[str, StereoRig]:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from bag_fixtures import (
     camera_info,
@@ -11,6 +12,7 @@ from bag_fixtures import (
 
 from ovmot.datasets.registry import open_recording
 from ovmot.errors import CalibrationError
+from ovmot.ros.values import Message
 
 
 @pytest.mark.parametrize(("name", "version"), [("tiny.bag", 1), ("tiny", 2)])
@@ -57,8 +59,29 @@ def test_camera_info_without_a_baseline_or_with_an_odd_lens(tmp_path: Path, moun
         open_recording(odd, calibration=mount)
 
 
+def test_an_empty_camera_info_is_told(tmp_path: Path, mount: Path) -> None:
+    def empty(stamp: int) -> Message:
+        info = camera_info(False)(stamp)
+        return Message(info.type_name, {**info.fields, "K": np.zeros(9)})
+
+    cameras = {"/l/image_raw": mono, "/r/image_raw": mono, "/l/camera_info": empty}
+    path = write_bag(tmp_path / "t.bag", cameras)
+    with pytest.raises(CalibrationError, match=r"/l/camera_info: K is 0: the driver publishes an"):
+        open_recording(path, calibration=mount)
+
+
+def test_a_mount_without_camera_info_has_no_intrinsics(tmp_path: Path, mount: Path) -> None:
+    path = write_bag(tmp_path / "t.bag", {"/left": mono, "/right": mono})
+    with pytest.raises(CalibrationError) as found:
+        open_recording(path, calibration=mount)
+    assert str(found.value).startswith(f"{mount}: says where the left camera is, but has no intr")
+    assert f"{path} has no CameraInfo beside /left and /right; give --cal" in str(found.value)
+
+
 def test_without_any_calibration_both_ways_are_named(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "tiny.bag", {"/a/left": mono, "/a/right": mono})
     with pytest.raises(CalibrationError) as found:
         open_recording(path)
-    assert "no CameraInfo beside /a/left and /a/right; give a Kalibr chain" in str(found.value)
+    assert "no CameraInfo beside /a/left and /a/right; give --calibration FILE: " in str(
+        found.value
+    )

@@ -59,7 +59,8 @@ def test_without_an_imu_the_bag_says_so(tmp_path: Path, chain: Path) -> None:
     path = write_bag(tmp_path / "tiny.bag", {"/left": mono, "/right": mono}, imus=())
     sequence = open_recording(path, calibration=chain)
     assert sequence.imu is None
-    assert "no topic of type sensor_msgs/Imu" in sequence.warnings[0]
+    assert "no topic of type sensor_msgs/Imu, only /" in sequence.warnings[0]
+    assert "(sensor_msgs/Image)" in sequence.warnings[0]
 
 
 def test_options_that_do_not_fit_the_data(tmp_path: Path, chain: Path) -> None:

@@ -9,7 +9,7 @@ from bag_fixtures import (
     IMU,
 )
 
-from ovmot.datasets.bag.topics import BagTopics, find_topics
+from ovmot.datasets.bag.topics import BagTopics, find_topics, without_imu
 from ovmot.errors import InputError
 
 
@@ -72,3 +72,11 @@ def test_what_is_not_clear_is_asked(
     with pytest.raises(InputError) as found:
         find_topics(Path("x.bag"), types, BagTopics(**asked))
     assert complaint in str(found.value)
+
+
+def test_the_topics_of_a_bag_without_imu_are_listed() -> None:
+    types = {f"/topic{k}": "sensor_msgs/Image" for k in range(14)}
+    told = without_imu(types)
+    assert "only /topic0 (sensor_msgs/Image), /topic1" in told
+    assert "2 more: record the IMU, or give the ego motion by --ego poses FILE" in told
+    assert "/topic12" not in told

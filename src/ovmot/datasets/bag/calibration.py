@@ -21,7 +21,11 @@ from ovmot.geometry import se3
 
 _INFO_TYPE = "sensor_msgs/CameraInfo"
 _MOUNT = "--calibration FILE with cam0.T_cam_imu (and timeshift_cam_imu)"
-_CHAIN = "give a Kalibr chain of both cameras with --calibration FILE"
+_CHAIN = (
+    "give --calibration FILE: a Kalibr chain with both cameras, cam1's T_cn_cnm1 and cam0's"
+    " T_cam_imu, or VINS's or OpenVINS's file; docs 'Your own data' says how to get one"
+)
+_WITHOUT_CAMERA = "says where the left camera is, but has no intrinsics"
 
 
 def given_calibration(
@@ -73,8 +77,11 @@ def bag_calibration(bag: Bag, topics: FoundTopics, chain: Path | Calibration | N
     nodes = [_info(bag, topic) for topic in topics.images]
     names = [t for t, node in zip(topics.images, nodes, strict=True) if node is None]
     if names:
-        problem = f"no calibration: no CameraInfo beside {' and '.join(names)}"
-        raise CalibrationError.at(bag.path, problem, _CHAIN)
+        problem = f"no CameraInfo beside {' and '.join(names)}"
+        if chain is not None:
+            problem = f"{_WITHOUT_CAMERA}, and {bag.path} has {problem}"
+            raise CalibrationError.at(chain, problem, _CHAIN)
+        raise CalibrationError.at(bag.path, f"no calibration: {problem}", _CHAIN)
     if chain is None:
         problem = "CameraInfo has the cameras, but not where they are on the IMU"
         raise CalibrationError.at(bag.path, problem, f"give {_MOUNT}")
@@ -110,6 +117,9 @@ def _info(bag: Bag, image_topic: str) -> CalibrationNode | None:
 def _node(path: Path, topic: str, info: Any, rectified: bool) -> CalibrationNode:
     """The message by the keys of `camera_info` files; rectified images see through P alone."""
     D, K, R, P = (_matrix(info, name) for name in "DKRP")
+    if not np.any(K):
+        problem = f"topic {topic}: K is 0: the driver publishes an empty CameraInfo"
+        raise CalibrationError.at(path, problem, _CHAIN)
     P = P.reshape(3, 4)
     if rectified:
         D, K, R = np.empty(0), P[:, :3], np.eye(3)

@@ -15,7 +15,7 @@ from ovmot.datasets.bag.calibration import (
 )
 from ovmot.datasets.bag.file import Bag, BagMessage
 from ovmot.datasets.bag.images import stored_image
-from ovmot.datasets.bag.topics import BagTopics, FoundTopics, find_topics
+from ovmot.datasets.bag.topics import BagTopics, FoundTopics, find_topics, without_imu
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import ReadingLimits, pair_stamps
@@ -129,8 +129,7 @@ def read_bag(
     if topics.imu is not None:
         imu = _imu(path, topics.imu, scan, limits.imu_max_gap_s, findings)
     if imu is None:
-        text = f"{path}: no topic of type sensor_msgs/Imu; the ego motion must come from poses"
-        findings.note("no_imu", 1, text)
+        findings.note("no_imu", 1, f"{path}: {without_imu(bag.types)}")
     else:
         offset_s = found.rig.time_offset_s
         kept = covered_frames(frame_ns, imu, offset_s, path, findings)

@@ -8,6 +8,7 @@ from ovmot.errors import InputError
 
 IMAGE_TYPES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
 IMU_TYPE = "sensor_msgs/Imu"
+_MOST_LISTED = 12
 _COMPRESSED = "/compressed"
 
 
@@ -91,6 +92,17 @@ def _imu(path: Path, types: Mapping[str, str], asked: str | None) -> str | None:
         problem = f"holds {len(found)} IMU topics: {', '.join(found)}"
         raise InputError.at(path, problem, "choose with --imu TOPIC")
     return found[0] if found else None
+
+
+def without_imu(types: Mapping[str, str]) -> str:
+    """That none of the topics is an IMU, and which ones there are."""
+    known = [f"{topic} ({kind})" for topic, kind in types.items()]
+    more = len(known) - _MOST_LISTED
+    listed = [*known[:_MOST_LISTED], *([f"{more} more"] if more > 0 else [])]
+    return (
+        f"no topic of type {IMU_TYPE}, only {', '.join(listed)}: record the IMU, or give the ego"
+        " motion by --ego poses FILE"
+    )
 
 
 def _named(path: Path, name: str, known: Sequence[str], option: str, what: str) -> str:
