@@ -8,7 +8,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.datasets.calibration_export import WrittenCalibration, write_rig
+from ovmot.datasets.calibration_export import WrittenCalibration, calibration_files, write_rig
 from ovmot.datasets.kalibr import CHAIN_FILE, read_kalibr
 from ovmot.errors import InputError
 from ovmot.outputs.finished_run import Run
@@ -51,6 +51,11 @@ class RunCalibration:
     before: StereoRig
     after: StereoRig
     values: tuple[CalibratedValue, ...]
+
+
+def refuse_existing_files(path: StrPath, with_noise: bool) -> None:
+    """Raise `InputError` where a calibration, perhaps with the IMU's noise, is there already."""
+    calibration_files(path, with_noise, replace=False)
 
 
 def run_calibration(folder: StrPath) -> RunCalibration:

@@ -59,7 +59,7 @@ def calibrate(
     import ovmot
     from ovmot.cli.progress import progress
     from ovmot.cli.recorded import open_recorded
-    from ovmot.datasets.calibration_export import calibration_files
+    from ovmot.run_calibration import refuse_existing_files
 
     if not as_is and (data / _RUN_JSON).is_file():
         _write_found(data, data, out, force)
@@ -75,7 +75,8 @@ def calibrate(
         more = [*overrides, "calibration.extrinsics=true"]
         given = ovmot.load_run_config(config, more, left, right)
     settings = recorded.settings(given.settings)
-    calibration_files(out, recorded.imu is not None, force)  # before the work, not after it
+    if not force:  # before the work, not after it
+        refuse_existing_files(out, recorded.imu is not None)
     ovmot.prepare_process()
     _refuse_mistakes(recorded, settings, force)
     with TemporaryDirectory() as folder:

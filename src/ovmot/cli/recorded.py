@@ -8,7 +8,6 @@ from pathlib import Path
 import ovmot
 from ovmot import RecordedSequence, RunConfig
 from ovmot.cli.console import NOTHING_WRITTEN, interruptible
-from ovmot.datasets.corrections import without_mended_warnings
 
 
 def open_recorded(
@@ -42,7 +41,7 @@ def open_recorded(
             need_imu_pose,
             need_pairs,
         )
-    recorded = without_mended_warnings(recorded, given.settings.recording)
+    recorded = recorded.without_mended_warnings(given.settings.recording)
     return given, replace(recorded, warnings=(*given.warnings, *recorded.warnings))
 
 

@@ -7,7 +7,6 @@ from typing import Self
 import numpy as np
 
 from ovmot.datasets.findings import Findings
-from ovmot.datasets.imu import BY_UNIT, is_near_gravity
 from ovmot.datasets.sequence import RecordedSequence, StoredPair, covered_frames
 from ovmot.geometry.arrays import IntArray
 from ovmot.settings import RecordingSettings
@@ -50,7 +49,7 @@ def corrected(sequence: RecordedSequence, settings: RecordingSettings) -> Record
     scales = settings.gyro_scale, settings.accel_scale
     if rig is sequence.rig and scales == (1.0, 1.0) and not settings.exchange_cameras:
         return sequence
-    sequence = without_mended_warnings(sequence, settings)
+    sequence = sequence.without_mended_warnings(settings)
     imu, findings = sequence.imu, Findings()
     keep = np.arange(len(sequence))
     if imu is not None:
@@ -78,20 +77,6 @@ def corrected(sequence: RecordedSequence, settings: RecordingSettings) -> Record
         at=keep,
         exchanged=settings.exchange_cameras,
     )
-
-
-def without_mended_warnings(
-    sequence: RecordedSequence, settings: RecordingSettings
-) -> RecordedSequence:
-    """The sequence, without the warning about the accelerometer's unit if its scale mends that."""
-    imu = sequence.imu
-    if imu is None or not sequence.counts.get("imu_units"):
-        return sequence
-    if not is_near_gravity(settings.accel_scale * imu.accel):
-        return sequence
-    warnings = tuple(text for text in sequence.warnings if BY_UNIT not in text)
-    counts = {name: n for name, n in sequence.counts.items() if name != "imu_units"}
-    return replace(sequence, warnings=warnings, counts=counts)
 
 
 def _missing(sequence: RecordedSequence, keep: IntArray, exchanged: bool) -> dict[int, int]:

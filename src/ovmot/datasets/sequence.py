@@ -15,13 +15,14 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.calibration import Calibration
 from ovmot.datasets.findings import Findings
 from ovmot.datasets.frames import StereoListing, listed_frames
+from ovmot.datasets.imu import BY_UNIT, is_near_gravity
 from ovmot.datasets.instance_masks import InstanceImages
 from ovmot.datasets.presets import Preset
 from ovmot.datasets.stream import events
 from ovmot.datasets.text_tables import ns_to_seconds
 from ovmot.errors import DatasetError
 from ovmot.geometry.arrays import Image, IntArray
-from ovmot.settings import Settings
+from ovmot.settings import RecordingSettings, Settings
 from ovmot.types import Event, ImuData, ImuNoise
 
 Decode = Callable[[Path], Image]
@@ -93,6 +94,17 @@ class RecordedSequence(ABC):
     @abstractmethod
     def of_pairs(self) -> Self:
         """The same without the frames of which a camera's image is missing."""
+
+    def without_mended_warnings(self, settings: RecordingSettings) -> Self:
+        """The sequence, without the warning about the IMU's unit if a setting mends that."""
+        imu = self.imu
+        if imu is None or not self.counts.get("imu_units"):
+            return self
+        if not is_near_gravity(settings.accel_scale * imu.accel):
+            return self
+        warnings = tuple(text for text in self.warnings if BY_UNIT not in text)
+        counts = {name: n for name, n in self.counts.items() if name != "imu_units"}
+        return replace(self, warnings=warnings, counts=counts)
 
     @property
     def complete(self) -> IntArray:
