@@ -2,7 +2,7 @@
 
     import ovmot
     sequence = ovmot.open("MH_01_easy")
-    odometry = ovmot.Odometry(sequence.rig, sequence.imu_noise)
+    odometry = ovmot.Odometry(sequence.rig, sequence.imu_noise, sequence.settings())
     for event in sequence:
         for frame in odometry.add(event): print(frame.T_world_imu, frame.tracks)
 
