@@ -25,7 +25,7 @@ from ovmot.datasets.pose_files import read_ego_poses
 from ovmot.datasets.presets import Preset
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.datasets.usable_events import usable_events
-from ovmot.doctor.during_run import RunCheck
+from ovmot.doctor.during_run import MOST_REFUSED, RunCheck
 from ovmot.errors import InputError, OvmotError, is_interrupt
 from ovmot.odometry import NO_OBJECTS, STAGES, Odometry, noise_in_use, settings_in_use
 from ovmot.outputs.rig_masks import write_rig_masks
@@ -46,7 +46,6 @@ from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer, imu_poses_f
 
 _SAY_EVERY_NS = 1_000_000_000
 _UPDATE_EVERY_S = 5.0  # of the clock on the wall
-_MOST_REFUSED = 0.2  # of the stereo matches: beyond, the calibration is to be doubted
 
 
 _LEFT_OUT = {
@@ -325,7 +324,7 @@ def _warnings(
         text = "new starts because the motion was lost: the position may jump there"
         warnings[text] += counts["resets"]
     refused, tested = counts["stereo_matches_refused"], counts["stereo_matches"]
-    if refused > _MOST_REFUSED * tested:
+    if refused > MOST_REFUSED * tested:
         text = f"stereo matches refused by the extrinsics, of {tested}: try 'ovmot doctor'"
         warnings[text] += refused
     for camera, picture in product(("left", "right"), Picture):

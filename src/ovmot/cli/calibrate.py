@@ -90,13 +90,14 @@ def _refuse_mistakes(recorded: "RecordedSequence", settings: "Settings", force: 
     """Raise `InputError` for a mistake that an estimate would hide: it corrects small errors."""
     from ovmot.cli.progress import progress
     from ovmot.doctor.examine import sampled_frames, stereo_mistake
+    from ovmot.doctor.fix import fix_over, set_options
 
     with interruptible(NOTHING_WRITTEN), progress("check", sampled_frames(recorded)) as advance:
         found = stereo_mistake(recorded, settings, advance)
     if found is None:
         return
-    fix = "".join(f" (--set {key}={str(value).lower()})" for key, value in found.fix.items())
-    line = f"{found.says}; {found.remedy}{fix}"
+    fix = set_options(fix_over(found.fix, settings))
+    line = f"{found.says}; {found.remedy}{f' ({fix})' if fix else ''}"
     if not force:
         raise InputError.at(recorded.root, line, "--force writes anyway")
     say(f"ovmot: warning: {line}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ovmot.datasets.sequence import RecordedSequence
 from ovmot.doctor.examine import examine_stretches
-from ovmot.doctor.fix import fix_over
+from ovmot.doctor.fix import fix_over, set_options
 from ovmot.doctor.imu_units import check_accel_sign, check_accel_unit
 from ovmot.doctor.locations import locations_of
 from ovmot.doctor.observe import STRETCH_FRAMES
@@ -23,7 +23,10 @@ _IMU_S = 30.0  # of the IMU's samples, at the start
 _WAITED_S = (3.0, 10.0)  # without a start: the pictures are examined, and once more
 _YOUNG_S = 20.0  # after the first frame: what goes wrong later is not the recording's form
 _UNWELL_FRAMES = 10  # degraded or lost ones
-_LEAST_MATCHES, _MOST_REFUSED = 500, 0.2  # stereo matches; of good recordings 0.02 are refused
+_LEAST_MATCHES = 500
+MOST_REFUSED = 0.2
+"""Share of refused stereo matches beyond which the calibration is to be doubted; of good recordings
+0.02 are refused."""
 
 
 class RunCheck:
@@ -103,14 +106,9 @@ class RunCheck:
         if not finding.fix:
             remedy = f"{finding.remedy}; " if finding.remedy else ""
             return f"{remedy}'{self._doctor}' says more"
-        by = fix_over(finding.fix, self._settings)
-        given = " ".join(f"--set {key}={_written(value)}" for key, value in by.items())
+        given = set_options(fix_over(finding.fix, self._settings))
         if_doubtful = f"{finding.remedy}: " if finding.severity is Severity.DOUBTFUL else ""
         return f"{if_doubtful}run with {given}, or see '{self._doctor} --fix OUT.yaml'"
-
-
-def _written(value: float | bool) -> str:
-    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
 
 
 def _is_unwell(counts: Mapping[str, int]) -> bool:
@@ -118,7 +116,7 @@ def _is_unwell(counts: Mapping[str, int]) -> bool:
     if counts["resets"] or _on_imu_alone(counts) >= _UNWELL_FRAMES:
         return True
     tested = counts["stereo_matches"]
-    return tested >= _LEAST_MATCHES and counts["stereo_matches_refused"] > _MOST_REFUSED * tested
+    return tested >= _LEAST_MATCHES and counts["stereo_matches_refused"] > MOST_REFUSED * tested
 
 
 def _on_imu_alone(counts: Mapping[str, int]) -> int:

@@ -42,6 +42,15 @@ def fix_over(fix: Mapping[str, Any], given: Settings) -> dict[str, Any]:
     return over
 
 
+def set_options(fix: Mapping[str, float | bool]) -> str:
+    """Settings as the options of a command that set them."""
+    return " ".join(f"--set {key}={_written(value)}" for key, value in fix.items())
+
+
+def _written(value: float | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
+
+
 def write_settings(path: Path, sections: Mapping[str, Mapping[str, Any]]) -> None:
     """A settings file; raises `InputError` where there is one, or it can not be written."""
     text = yaml.safe_dump({k: dict(v) for k, v in sections.items()}, sort_keys=False)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled
+from ovmot.kernels.cache import code_folder, compiled, part
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2⁶⁴ over the golden ratio, odd
 
@@ -36,6 +36,10 @@ def columns_of(ids: IntArray, among: IntArray) -> IntArray:
                 break
             slot = (slot + 1) % size
     return out
+
+
+rows_of_ids = part(columns_of)
+"""`columns_of` for other kernels."""
 
 
 def available_views(

@@ -10,6 +10,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.table_kernel import rows_of_ids
 from ovmot.objects.body_kernel import BodyState
 from ovmot.objects.body_step_kernel import (
     Body,
@@ -17,7 +18,6 @@ from ovmot.objects.body_step_kernel import (
     FrameViews,
     chosen,
     in_frame_of,
-    rows_of_ids,
     turned_back,
     with_map,
     with_state_of,

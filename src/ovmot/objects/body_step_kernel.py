@@ -12,7 +12,7 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import invert_symmetric
-from ovmot.kernels.table_kernel import columns_of
+from ovmot.kernels.table_kernel import rows_of_ids
 from ovmot.objects.body_kernel import (
     LEFT,
     N_BODY,
@@ -27,8 +27,6 @@ from ovmot.objects.body_kernel import (
     predict_body,
     update_body,
 )
-
-rows_of_ids = part(columns_of)
 
 
 class FeatureMap(NamedTuple):
@@ -111,9 +109,8 @@ def advance_body(body: Body, frame: FrameViews, m: Manoeuvres, rules: Rules) -> 
     """The body predicted to a frame and updated by its features there, if it is seen."""
     # 1 the body in the world as it is now, with the features that the frame has
     body = corrected(body, frame.correction)
-    seen = rows_of_ids(body.feature_id, frame.feature_id) >= 0
-    body = with_state_of(body, seen)
     at = rows_of_ids(body.feature_id, frame.feature_id)
+    body, at = with_state_of(body, at >= 0), at[at >= 0]
     # 2 the state
     n = len(at)
     xy, drift, last_xy = np.empty((n, 4)), np.empty(n), body.last_xy.copy()

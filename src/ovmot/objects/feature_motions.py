@@ -5,7 +5,6 @@ features. The motion of each feature, against the predicted one of a track, tell
 """
 
 from dataclasses import dataclass
-from math import log
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from ovmot.physics import ACCEL_SIGMA_MPS2
 from ovmot.types import ScenePoints
 
 _MEMORY_S = 0.8
-CLEARLY = 2.0 * log(100.0)
-"""Difference of squared Mahalanobis distances of which one motion is a hundred times likelier."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import log
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from ovmot.kernels.table_kernel import columns_of_compiled
 from ovmot.objects.body import LEAST_SEEN, exchange_members, with_members
 from ovmot.objects.body_box import gap_of
 from ovmot.objects.body_step_kernel import FrameViews
-from ovmot.objects.feature_motions import CLEARLY, FeatureMotions
+from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.merging import BESIDE_NS
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_features_kernel import (
@@ -32,7 +33,7 @@ LIMITS = Limits(
     same=gate(3, 0.99),
     least_mps=1.0,
     share=0.3,
-    clearly=CLEARLY,
+    clearly=2.0 * log(100.0),  # one motion is a hundred times likelier
 )
 
 

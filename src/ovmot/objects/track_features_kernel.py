@@ -11,10 +11,8 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.kernels.table_kernel import columns_of
+from ovmot.kernels.table_kernel import rows_of_ids
 from ovmot.objects.features_kernel import distance_from_box, distance_of_velocity
-
-_rows_of_ids = part(columns_of)
 
 
 class Hulls(NamedTuple):
@@ -58,7 +56,7 @@ def members_of(ids: IntArray, first: IntArray, feature_id: IntArray) -> BoolArra
     `first[t + 1]`."""
     out = np.zeros((len(first) - 1, len(feature_id)), np.bool_)
     for t in range(len(out)):
-        at = _rows_of_ids(ids[first[t] : first[t + 1]], feature_id)
+        at = rows_of_ids(ids[first[t] : first[t + 1]], feature_id)
         for k in at:
             if k >= 0:
                 out[t, k] = True

@@ -50,7 +50,6 @@ class ObjectTracker:
         self._tracks: tuple[Track, ...] = ()
         self._history = FeatureHistory()
         self._next_id = 0
-        self._last_ns = 0
         self._speeds = speeds_of(0, ())
 
     def step(
