@@ -377,7 +377,7 @@ def test_a_refused_right_observation_never_reaches_the_filter(
     monkeypatch.setattr(MsckfFilter, "update", update)
     frames = frames_of(painted_pair, 20, lift=6)
     odometry = with_filter(painted_rig)
-    tested = _spy_on_matches(odometry, monkeypatch)
+    tested = _spy_on_matches(monkeypatch)
     results = run(odometry, merged(frames, imu_of(2.0)))
     pairs = [tuple(row) for m in tested for row in m.pixels[~m.accepted].tolist()]
     accepted = {tuple(row) for m in tested for row in m.pixels[m.accepted].tolist()}
@@ -410,18 +410,19 @@ def test_a_refused_right_observation_never_reaches_the_filter(
     )
 
 
-def _spy_on_matches(odometry: Odometry, monkeypatch: pytest.MonkeyPatch) -> list[StereoMatches]:
+def _spy_on_matches(monkeypatch: pytest.MonkeyPatch) -> list[StereoMatches]:
     """The `StereoMatches` of every frame, also of those before the start."""
     tested: list[StereoMatches] = []
-    tracker = odometry._frontend
-    true_track = tracker.track
+    true_track = StereoTracker.track
 
-    def track(frame: StereoFrame, T_now_before: FloatArray, feedback: Feedback) -> object:
-        seen, matches = true_track(frame, T_now_before, feedback)
+    def track(
+        tracker: StereoTracker, frame: StereoFrame, T: FloatArray, feedback: Feedback
+    ) -> object:
+        seen, matches = true_track(tracker, frame, T, feedback)
         tested.append(matches)
         return seen, matches
 
-    monkeypatch.setattr(tracker, "track", track)
+    monkeypatch.setattr(StereoTracker, "track", track)
     return tested
 
 

@@ -4,12 +4,11 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from ovmot.errors import OvmotError
-from ovmot.interfaces import Feedback, OdometrySource
-from ovmot.runtime import CallingThread, Stopwatch, helping_thread
-from ovmot.types import FrameResult, FrontendFrame, StereoMatches
+from ovmot.interfaces import Feedback, OdometrySource, Tracked
+from ovmot.runtime import CallingThread, helping_thread
+from ovmot.types import FrameResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,14 +19,6 @@ class Known:
     source: OdometrySource | None
     feedback: Feedback
     imu_needed_from_ns: int | None
-
-
-class Tracked(NamedTuple):
-    """What the front end gives of a frame, and the watch that timed it."""
-
-    seen: FrontendFrame
-    matches: StereoMatches
-    watch: Stopwatch
 
 
 @dataclass(frozen=True, slots=True)

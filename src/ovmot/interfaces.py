@@ -1,9 +1,9 @@
 """What the odometry asks of its events and its parts: front end, odometry source, initializer."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -65,6 +65,31 @@ class FrontEnd(Protocol):
         """Features of this frame, and every stereo match that the epipolar gate tested.
 
         `T_now_before` (4, 4): predicted motion of the left camera since the last frame.
+        """
+        ...
+
+    def close(self) -> None:
+        """End its threads and processes; a second call does nothing."""
+        ...
+
+
+class Tracked(NamedTuple):
+    """What a front end gives of a frame, and how long that took it."""
+
+    seen: FrontendFrame
+    matches: StereoMatches
+    milliseconds: float
+
+
+class FrontEndRunner(Protocol):
+    """Runs a front end, here or elsewhere, beside the later stages."""
+
+    def begin(
+        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
+    ) -> Callable[[], Tracked]:
+        """Begin a frame; what waits for its answer, to be called once, in the frames' order.
+
+        Arguments as in `FrontEnd.track`. The frame before the last one must have its answer.
         """
         ...
 

@@ -17,19 +17,21 @@ from ovmot.feature_table import (
     mark_dynamic,
     mark_outliers,
 )
-from ovmot.frame_jobs import FrameJobs, Known, Step, Tracked
+from ovmot.frame_jobs import FrameJobs, Known, Step
 from ovmot.frontend import FRONT_ENDS
 from ovmot.frontend.epipolar import match_sigma
+from ovmot.frontend.here import FrontEndHere
 from ovmot.frontend.remote import RemoteFrontEnd
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import contained
 from ovmot.initialization.frame_buffer import FrameBuffer, predicted_rotation
 from ovmot.initialization.initializer import FilterInitializer, has_stereo, motion_window_s
 from ovmot.interfaces import (
-    Feedback,
     FrontEnd,
+    FrontEndRunner,
     Initializer,
     OdometrySource,
+    Tracked,
     check_event,
     no_feedback,
 )
@@ -93,7 +95,7 @@ class Odometry:
         Another front end than the one that `tracker.cameras` names.
     threads
         1: everything in the calling thread. 2: the front end runs beside the later stages, each in
-        a thread; that of the settings in a process of its own, with a second thread to help it.
+        a thread; that of the settings in a process of its own.
     on_result
         Called with each `FrameResult` as soon as it is there, by the thread that made it.
 
@@ -121,7 +123,9 @@ class Odometry:
         self._initializer: Initializer = initializer or FilterInitializer(
             rig, noise_in_use(imu_noise, settings.imu), settings
         )
-        self._frontend: FrontEnd = frontend or _front_end(rig, settings, threads)
+        self._frontend: FrontEndRunner = (
+            _front_end(rig, settings, threads) if frontend is None else FrontEndHere(frontend)
+        )
         self._rig = rig
         self._objects = MovingObjects(rig, settings)
         # the calling thread's: events, and the frames that are worked on
@@ -197,7 +201,7 @@ class Odometry:
         imu = self._imu.snapshot()
         T_now_before = self._predicted_motion(known, frame.timestamp_ns, imu)
         self._jobs.begin(
-            lambda: self._track(frame, T_now_before, known.feedback),
+            self._frontend.begin(frame, T_now_before, known.feedback),
             lambda tracked: self._step_or_say(frame, tracked, imu),
         )
 
@@ -213,15 +217,6 @@ class Odometry:
         clock = self._clock(known)
         times_ns = clock.imu_time_ns(before_ns), clock.imu_time_ns(frame_ns)
         return predicted_rotation(*times_ns, imu, known.feedback.rig)
-
-    def _track(
-        self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
-    ) -> Tracked:
-        """The front end's part."""
-        watch = Stopwatch()
-        with watch.stage("track"):
-            seen, matches = self._frontend.track(frame, T_now_before, feedback)
-        return Tracked(seen, matches, watch)
 
     def step(
         self, frame: StereoFrame | FeatureFrame, tracked: Callable[[], Tracked], imu: ImuBuffer
@@ -239,7 +234,7 @@ class Odometry:
         with watch.stage("propagate"):
             source = self._source.propagate(frame.timestamp_ns, imu)
         # 2 track: temporal and stereo matching from predicted places, epipolar gate on every pair
-        seen, matches, track_watch = tracked()
+        seen, matches, track_ms = tracked()
         self._count_pictures(seen)
         pixel_sigma = _averaged(feedback.pixel_sigma, match_sigma(matches))
         # 3 segment: what the predicted motion does not explain leaves the filter for good
@@ -267,7 +262,7 @@ class Odometry:
             points=objects.points,
             matches=matches,
             tracks=objects.tracks,
-            milliseconds=track_watch.milliseconds | watch.milliseconds,
+            milliseconds={"track": track_ms} | watch.milliseconds,
             segment=self.counts["resets"],
         )
         self._watch_health(result.ego)
@@ -305,13 +300,14 @@ class Odometry:
         self, frame: StereoFrame | FeatureFrame, tracked: Tracked, imu: ImuBuffer
     ) -> FrameResult | None:
         """Look for an initial state; on success go through the frames up to this one."""
-        seen, matches, watch = tracked
+        seen, matches, track_ms = tracked
         self._count_pictures(seen)
         if _interrupts_start(seen, self._before_start.frames):
             self.not_started_because = f"pictures: {' and '.join(seen.pictures)}"
             self.counts["frames_before_start"] += 1
             return None
         self._before_start.append(seen, imu)
+        watch = Stopwatch()
         with watch.stage("initialize"):
             started = self._initializer(self._before_start.frames, imu)
             if isinstance(started, str):
@@ -328,7 +324,7 @@ class Odometry:
             points=segmentation.points,
             matches=matches,
             tracks=(),
-            milliseconds=watch.milliseconds,
+            milliseconds={"track": track_ms} | watch.milliseconds,
             segment=self.counts["resets"],
         )
 
@@ -446,14 +442,14 @@ def _interrupts_start(seen: FrontendFrame, before: Sequence[FrontendFrame]) -> b
     return left != Picture.FINE or (right != Picture.FINE and in_stereo)
 
 
-def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEnd:
+def _front_end(rig: StereoRig, settings: Settings, threads: int) -> FrontEndRunner:
     """The front end that the settings name, without the features that only objects need."""
     tracker = settings.tracker
     if not settings.objects.enabled:
         tracker = tracker.model_copy(update={"fine_features": 0, "focus_features": 0})
     if threads > 1:
         return RemoteFrontEnd(rig, tracker, settings.epipolar)
-    return FRONT_ENDS[tracker.cameras](rig, tracker, settings.epipolar, 1)
+    return FrontEndHere(FRONT_ENDS[tracker.cameras](rig, tracker, settings.epipolar, 1))
 
 
 NO_OBJECTS = "objects are off: without stereo matches the depth of what moves is not known"

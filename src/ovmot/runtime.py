@@ -206,6 +206,13 @@ def do_together(jobs: Sequence[Callable[[], _T]], helper: Executor) -> list[_T]:
     return [results[index] for index in range(len(jobs))]
 
 
+def n_processors() -> int:
+    """Those that this process may run on: a container or `taskset` may give it fewer than all."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 class CallingThread(Executor):
     """An executor that does each job where it is submitted, at once."""
 

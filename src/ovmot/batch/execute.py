@@ -4,7 +4,6 @@ Both go on when a worker dies: finished jobs are kept, and the job it worked on 
 """
 
 import multiprocessing
-import os
 import signal
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 from ovmot.batch.jobs import Job
 from ovmot.batch.work import Outcome
 from ovmot.errors import InputError
+from ovmot.runtime import n_processors
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -40,7 +40,7 @@ class LocalProcesses:
     def __init__(
         self, workers: int | None = None, retries: int = 2, on_death: Say = lambda line: None
     ) -> None:
-        self._workers = workers or os.cpu_count() or 1
+        self._workers = workers or n_processors()
         self._retries = retries
         self._on_death = on_death
 

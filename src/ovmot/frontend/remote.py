@@ -4,11 +4,14 @@ Between two threads of one process each call of compiled code or of OpenCV ends 
 lock. Here the thread that calls `track` waits for another process, which has a lock of its own.
 """
 
+import fcntl
 import mmap
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -17,21 +20,27 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import OvmotError
+from ovmot.frontend.here import FrontEndHere
 from ovmot.geometry.arrays import FloatArray, Image
-from ovmot.interfaces import Feedback
-from ovmot.runtime import prepare_process
+from ovmot.interfaces import Feedback, Tracked
+from ovmot.runtime import n_processors, prepare_process
 from ovmot.settings import EpipolarSettings, TrackerSettings
-from ovmot.types import FeatureFrame, FrontendFrame, StereoFrame, StereoMatches
+from ovmot.types import FeatureFrame, StereoFrame
 
 _NO_IMAGE: Image = np.empty((0, 0), dtype=np.uint8)
+_IN_FLIGHT = 2
+"""Frames that the other process has at a time: the one it works on, and the next."""
+_PIPE_BYTES = 1 << 20
+"""Room for a request or a reply: neither process then waits until the other one reads."""
 _ENDED = "the front end's process has ended: run it again with one thread to see why"
 
 
 class RemoteFrontEnd:
     """The front end that `tracker.cameras` names, in another process.
 
-    It ends with `close`, and with this process. Raises what the front end raises, and `OvmotError`
-    where the process has died.
+    That has the next frame while it works on one, so that it never waits for this process. It ends
+    with `close`, and with this process. The answers raise what the front end raises, and
+    `OvmotError` where the process has died.
     """
 
     def __init__(
@@ -39,7 +48,8 @@ class RemoteFrontEnd:
     ) -> None:
         here_in, there_out = os.pipe()
         there_in, here_out = os.pipe()
-        self._images, images_fd = _SharedImages.make(rig)
+        self._images, images_fd = _make_images(rig)
+        self._next_slot = 0
         given = (there_in, there_out, images_fd)
         self._process = subprocess.Popen(
             [
@@ -51,21 +61,29 @@ class RemoteFrontEnd:
         )  # fmt: skip
         for fd in given:
             os.close(fd)
+        for fd in (here_in, here_out):
+            _widen(fd)
         self._replies = Connection(here_in, writable=False)
         self._requests = Connection(here_out, readable=False)
         self._send((rig, settings, epipolar))
 
-    def track(
+    def begin(
         self, frame: StereoFrame | FeatureFrame, T_now_before: FloatArray, feedback: Feedback
-    ) -> tuple[FrontendFrame, StereoMatches]:
-        """Features of this frame, and every stereo match tested; see `StereoTracker.track`."""
+    ) -> Callable[[], Tracked]:
+        """Send a frame, at most `_IN_FLIGHT` ahead of the last answer; what waits for that."""
+        slot = self._next_slot
+        self._next_slot = (slot + 1) % _IN_FLIGHT
         if isinstance(frame, StereoFrame):
-            self._images.write(frame.left, frame.right)
+            self._images[slot].write(frame.left, frame.right)
             right = None if frame.right is None else _NO_IMAGE
             frame = replace(frame, left=_NO_IMAGE, right=right)
-        self._send((frame, T_now_before, feedback))
+        self._send((slot, frame, T_now_before, feedback))
+        return self._answer
+
+    def _answer(self) -> Tracked:
+        """The oldest frame's that is awaited."""
         try:
-            reply: tuple[FrontendFrame, StereoMatches] | Exception = self._replies.recv()
+            reply: Tracked | Exception = self._replies.recv()
         except (EOFError, OSError) as error:
             raise OvmotError(_ENDED) from error
         if isinstance(reply, Exception):
@@ -80,39 +98,54 @@ class RemoteFrontEnd:
         self._process.wait()
 
     def _send(self, request: object) -> None:
-        try:
-            self._requests.send(request)
-        except OSError as error:
-            raise OvmotError(_ENDED) from error
+        with suppress(OSError):  # it has died: there is no answer either
+            _put(self._requests, request)
 
 
 class _SharedImages:
     """Memory of two processes that holds the images of one frame."""
 
-    def __init__(self, rig: StereoRig, memory: mmap.mmap) -> None:
-        self._memory = memory
-        n = rig.cam0.height * rig.cam0.width
-        pixels = np.frombuffer(memory, dtype=np.uint8)
-        self.left: Image = pixels[:n].reshape(rig.cam0.height, rig.cam0.width)
-        self.right: Image = pixels[n:].reshape(rig.cam1.height, rig.cam1.width)
-
-    @classmethod
-    def make(cls, rig: StereoRig) -> tuple["_SharedImages", int]:
-        """Room for the images of a rig, and the file that the other process opens it by."""
-        size = sum(camera.height * camera.width for camera in rig.cameras)
-        if hasattr(os, "memfd_create"):
-            fd = os.memfd_create("ovmot-images")
-        else:
-            with tempfile.TemporaryFile() as file:
-                fd = os.dup(file.fileno())
-        os.ftruncate(fd, size)
-        return cls(rig, mmap.mmap(fd, size)), fd
+    def __init__(self, rig: StereoRig, memory: mmap.mmap, slot: int) -> None:
+        sizes = [camera.height * camera.width for camera in rig.cameras]
+        pixels = np.frombuffer(memory, np.uint8, sum(sizes), slot * sum(sizes))
+        self.left: Image = pixels[: sizes[0]].reshape(rig.cam0.height, rig.cam0.width)
+        self.right: Image = pixels[sizes[0] :].reshape(rig.cam1.height, rig.cam1.width)
 
     def write(self, left: Image, right: Image | None) -> None:
         """Put a frame's images there."""
         self.left[:] = left
         if right is not None:
             self.right[:] = right
+
+
+def _make_images(rig: StereoRig) -> tuple[list[_SharedImages], int]:
+    """Room for the images of as many frames as are in flight, and the file that the other process
+    opens it by."""
+    size = _IN_FLIGHT * sum(camera.height * camera.width for camera in rig.cameras)
+    if hasattr(os, "memfd_create"):
+        fd = os.memfd_create("ovmot-images")
+    else:
+        with tempfile.TemporaryFile() as file:
+            fd = os.dup(file.fileno())
+    os.ftruncate(fd, size)
+    return _open_images(rig, fd), fd
+
+
+def _open_images(rig: StereoRig, fd: int) -> list[_SharedImages]:
+    memory = mmap.mmap(fd, 0)
+    return [_SharedImages(rig, memory, slot) for slot in range(_IN_FLIGHT)]
+
+
+def _widen(fd: int) -> None:
+    """Give a pipe more room, where the system lets it."""
+    if hasattr(fcntl, "F_SETPIPE_SZ"):
+        with suppress(OSError):
+            fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+
+def _put(connection: Connection, message: object) -> None:
+    """`Connection.send` takes an older protocol, which copies arrays once more."""
+    connection.send_bytes(pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
 
 
 def serve(requests_fd: int, replies_fd: int, images_fd: int) -> None:
@@ -124,15 +157,17 @@ def serve(requests_fd: int, replies_fd: int, images_fd: int) -> None:
     replies = Connection(replies_fd, readable=False)
     with suppress(EOFError, BrokenPipeError):
         rig, settings, epipolar = requests.recv()
-        images = _SharedImages(rig, mmap.mmap(images_fd, 0))
-        front_end = FRONT_ENDS[settings.cameras](rig, settings, epipolar, 2)
+        images = _open_images(rig, images_fd)
+        # a second thread helps where a third processor is left for it
+        threads = 2 if n_processors() > 2 else 1
+        front_end = FrontEndHere(FRONT_ENDS[settings.cameras](rig, settings, epipolar, threads))
         while True:
-            frame, T_now_before, feedback = requests.recv()
+            slot, frame, T_now_before, feedback = requests.recv()
             if isinstance(frame, StereoFrame):
-                right = None if frame.right is None else images.right
-                frame = replace(frame, left=images.left, right=right)
+                right = None if frame.right is None else images[slot].right
+                frame = replace(frame, left=images[slot].left, right=right)
             try:
-                reply: object = front_end.track(frame, T_now_before, feedback)
+                reply: object = front_end.begin(frame, T_now_before, feedback)()
             except Exception as error:
                 reply = error
-            replies.send(reply)
+            _put(replies, reply)

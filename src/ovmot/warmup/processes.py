@@ -4,7 +4,6 @@ Each has one of the parts (`warmup.parts`); the next one begins where one has en
 cache says that all was compiled; it is missing after another version, processor or interruption.
 """
 
-import os
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from typing import Self
 import ovmot
 from ovmot.errors import OvmotError
 from ovmot.kernels.cache import code_folders, has_code, warm_stamp
+from ovmot.runtime import n_processors
 
 NAMES = ("objects", "filter", "front end", "SLAM features")
 """The keys of `warmup.parts.PARTS`, in the order in which they begin; not imported from there, so
@@ -66,7 +66,7 @@ class WarmUp(AbstractContextManager["WarmUp"]):
             stamp.touch()
 
     def _begin_more(self) -> None:
-        at_once = min(_AT_ONCE, os.cpu_count() or 1)
+        at_once = min(_AT_ONCE, n_processors())
         while self._waiting and len(self._jobs) < at_once:
             name = self._waiting.pop(0)
             self._jobs[name] = subprocess.Popen(
