@@ -3,45 +3,39 @@
 import numpy as np
 import pytest
 from object_fixtures import make_track, measurement
+from scipy.stats import multivariate_normal
 
 from ovmot.objects.association import (
     assign,
     associate,
     common_features,
-    innovations,
-    log_odds_of_old,
+    log_density_of_new,
 )
-from ovmot.objects.track import DRIVES_MPS
-from ovmot.physics import CAR_SIZE_M
+from ovmot.objects.track import TrackState
+from ovmot.physics import ROAD_SPEED_SIGMA_MPS, ROAD_USER_AREA_M2
 
 
-@pytest.mark.parametrize("speed", [DRIVES_MPS - 0.5, DRIVES_MPS + 0.5])
-def test_distances_are_those_of_the_state_and_of_where_the_points_may_lie(speed: float) -> None:
-    """A quarter of the size to either side; of what drives the other end may be seen."""
-    track = make_track((5.0, 0.0, 1.0), (speed, 0.0, 0.0))
-    seen = measurement((5.6, 0.2, 1.0), (speed + 0.3, 0.1, 0.0), span_s=0.4)
-    _, found = innovations([track], [seen], track.measured_ns + 200_000_000)
-    R = seen.covariance.copy()
-    R[:3, :3] += (0.25 * track.size[0]) ** 2 * np.eye(3)
-    S = track.covariance + 2.0 * R  # of 0.4 s, in 0.2 s
-    if speed > DRIVES_MPS:
-        S[0, 0] += (0.25 * max(CAR_SIZE_M[0] - track.size[0], 0.0)) ** 2
-    np.testing.assert_allclose(found[0, 0], S, atol=1e-9)
+@pytest.mark.parametrize("sigma_mps", [0.1, 2.0])
+def test_a_new_road_user_may_be_anywhere_at_road_users_velocities(sigma_mps: float) -> None:
+    seen = measurement((1.0, 0.0, 0.0), (4.0, 0.0, 0.0), sigma=sigma_mps)
+    road = np.square(ROAD_SPEED_SIGMA_MPS[:2]) + sigma_mps**2
+    velocity = multivariate_normal(cov=np.diag(road)).logpdf([4.0, 0.0])
+    expected = np.log(0.1 / ROAD_USER_AREA_M2) + velocity
+    np.testing.assert_allclose(log_density_of_new([seen, seen]), expected)
 
 
-@pytest.mark.parametrize(("sigma_m", "likelier"), [(1.0, True), (4.0, True), (45.0, False)])
-def test_a_place_that_is_hardly_known_tells_no_old_body_from_a_new_one(
-    sigma_m: float, likelier: bool
+@pytest.mark.parametrize(("sigma_m", "found"), [(0.5, True), (20.0, False)])
+def test_a_lost_track_is_found_by_what_is_rather_its_own_than_a_new_ones(
+    sigma_m: float, found: bool
 ) -> None:
-    seen = measurement((1.0, 0.0, 0.0), (4.0, 0.0, 0.0))
-    r = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])[None, None]
-    S = np.diag([sigma_m**2, sigma_m**2, 1.0, 6.0**2, 6.0**2, 1.0])[None, None]
-    odds = float(log_odds_of_old(r, S, [seen])[0, 0])
-    assert (odds > 0.0) is likelier
-    place = 1.0 / (2.0 * np.pi * sigma_m**2) * np.exp(-0.5 / sigma_m**2) * 700.0
-    road = 100.0 + 0.01
-    velocity = road / 36.0 * np.exp(-0.5 / 36.0 + 0.5 * 16.0 / road)
-    assert odds == pytest.approx(np.log(place * velocity))
+    """A place that is hardly known tells no old body from a new one."""
+    track = make_track(state=TrackState.COASTING)
+    P = np.diag(np.repeat([sigma_m, 0.5 * sigma_m], 3) ** 2)
+    track = track._replace(box=track.box._replace(covariance=P))
+    seen = measurement((0.5, 0.2, 0.0), (3.1, 0.0, 0.0), ids=(50, 51))
+    now_ns = track.measured_ns + 500_000_000
+    pairs = associate([track], [seen], np.zeros(1, np.bool_), now_ns)
+    assert pairs == ({0: 0} if found else {})
 
 
 def test_common_features_are_a_share_of_the_smaller_set() -> None:

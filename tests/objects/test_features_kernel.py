@@ -14,6 +14,7 @@ from ovmot.objects.features_kernel import (
     distance_of_velocity,
     feature_motions,
     feature_motions_compiled,
+    places_of_compiled,
 )
 
 N, ACCEL = 40, 1.5
@@ -26,26 +27,27 @@ def covariances(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
 
 @pytest.mark.parametrize("motions", [feature_motions, feature_motions_compiled])
 def test_motions_are_since_the_best_time(motions: Callable[..., tuple[FloatArray, ...]]) -> None:
-    """Of four rows three count, in turn; some features are new or were not seen at some time."""
+    """Of four rows two count; one is too old. Some features are new or were not seen then."""
     rng = np.random.default_rng(1)
     p_kept, cov_kept = rng.normal(size=(50, 4, 3)), covariances(rng, (50, 4))
     p_kept[rng.random((50, 4)) < 0.3] = np.nan
     p_cam0, cov_cam0 = rng.normal(size=(N, 3)), covariances(rng, (N,))
     p_cam0[3] = np.nan
     place, is_new = rng.permutation(50)[:N], rng.random(N) < 0.2
-    rows, age_s = np.array([3, 0, 1]), np.array([0.6, 0.3, 0.0])
+    rows, age_s = np.array([3, 0]), np.array([0.3, 0.0, 9.0, 0.6])
     T = se3.exp(rng.normal(0.0, 0.3, 6))
-    then, cov_then = p_kept[place][:, rows[:2]], cov_kept[place][:, rows[:2]]
+    then, cov_then = p_kept[place][:, rows], cov_kept[place][:, rows]
     then[is_new] = np.nan
     p, cov, velocity, velocity_cov, change = motions(
-        p_cam0, cov_cam0, T, place, is_new, rows, age_s, ACCEL, p_kept, cov_kept
+        p_cam0, cov_cam0, T, place, is_new, age_s, 1, 0.8, ACCEL, p_kept, cov_kept
     )
     np.testing.assert_allclose(p, se3.apply(T, p_cam0), rtol=1e-9)
     np.testing.assert_allclose(cov, T[:3, :3] @ cov_cam0 @ T[:3, :3].T, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(p_kept[place, 1], p)
     np.testing.assert_array_equal(cov_kept[place, 1], cov)
-    spread = (cov[:, None] + cov_then) / age_s[:2, None, None] ** 2
-    changed = (0.5 * ACCEL * age_s[:2]) ** 2
+    ages = age_s[rows]
+    spread = (cov[:, None] + cov_then) / ages[:, None, None] ** 2
+    changed = (0.5 * ACCEL * ages) ** 2
     error = np.trace(spread, axis1=2, axis2=3) + 3.0 * changed
     error = np.where(np.isfinite(then[..., 0] + p[:, None, 0]), error, np.inf)
     best = np.argmin(error, axis=1)
@@ -53,11 +55,18 @@ def test_motions_are_since_the_best_time(motions: Callable[..., tuple[FloatArray
     assert 5 < known.sum() < N
     np.testing.assert_array_equal(np.isfinite(velocity[:, 0]), known)
     k = np.arange(N)
-    v = (p - then[k, best]) / age_s[best, None]
+    v = (p - then[k, best]) / ages[best, None]
     np.testing.assert_allclose(velocity[known], v[known], rtol=1e-9)
     np.testing.assert_array_equal(change[known], changed[best[known]])
     C = spread[k, best] + changed[best, None, None] * np.eye(3)
     np.testing.assert_allclose(velocity_cov[known], C[known], rtol=1e-9)
+
+
+def test_features_keep_their_places_and_new_ones_get_free_ones() -> None:
+    ids, before, place_before = np.array([8, 3, 9, 4]), np.array([3, 5, 8]), np.array([2, 0, 1])
+    place, is_new = places_of_compiled(ids, before, place_before, 5)
+    assert place.tolist() == [1, 2, 0, 3]
+    assert is_new.tolist() == [False, False, True, True]
 
 
 def test_the_distance_of_a_velocity() -> None:

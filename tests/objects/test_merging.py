@@ -1,18 +1,21 @@
 """Duplicates of a body are merged; bodies that move alike are not."""
 
-from dataclasses import replace
-
 import numpy as np
 from object_fixtures import FRAME_NS, make_track
 
 from ovmot.objects.body_kernel import BodyState
 from ovmot.objects.merging import BESIDE_NS, merge_duplicates
 from ovmot.objects.track import Track, TrackState
+from ovmot.objects.track_features import hulls_of
+
+
+def merged(tracks: tuple[Track, ...]) -> tuple[Track, ...]:
+    return merge_duplicates(tracks, hulls_of(tracks))
 
 
 def ids_after(tracks: tuple[Track, ...], frames: int = 5) -> list[int]:
     for _ in range(frames):
-        tracks = merge_duplicates(tracks)
+        tracks = merged(tracks)
     return [track.track_id for track in tracks]
 
 
@@ -21,22 +24,22 @@ def test_a_duplicate_is_merged_after_some_frames() -> None:
     new = make_track((0.8, 0.0, 0.0), ids=(7, 8, 9, 10), track_id=1)
     assert ids_after((old, new), 2) == [0, 1]
     assert ids_after((old, new), 3) == [0]
-    (merged,) = merge_duplicates((old, replace(new, overlaps=2)))
-    assert merged.feature_id.tolist() == [7, 8, 9, 10]
-    np.testing.assert_array_equal(merged.position, new.position)  # it has more features
+    (one,) = merged((old, new._replace(overlaps=2)))
+    assert one.feature_id.tolist() == [7, 8, 9, 10]
+    np.testing.assert_array_equal(one.position, new.position)  # it has more features
 
 
 def test_a_young_duplicate_is_not_confirmed() -> None:
     old = make_track(ids=range(10), track_id=0)
     young = make_track((0.5, 0.0, 0.0), ids=(20,), track_id=1, hits=2)
-    _, kept = merge_duplicates((old, young))
+    _, kept = merged((old, young))
     assert (kept.state, kept.overlaps) == (TrackState.TENTATIVE, 1)
 
 
 def test_the_count_of_overlaps_goes_down_apart() -> None:
     old = make_track(track_id=0)
-    far = replace(make_track((0.0, 9.0, 0.0), track_id=1), overlaps=2)
-    assert merge_duplicates((old, far))[1].overlaps == 1
+    far = make_track((0.0, 9.0, 0.0), track_id=1)._replace(overlaps=2)
+    assert merged((old, far))[1].overlaps == 1
 
 
 def test_bodies_side_by_side_or_at_other_speeds_stay_two() -> None:
@@ -78,12 +81,12 @@ def test_what_was_seen_side_by_side_is_two_bodies() -> None:
     near = make_track((6.0, 0.0, 0.0), ids=(90, 91), track_id=1)
     assert ids_after((one, near)) == [0]
     seen_ns = FRAME_NS + BESIDE_NS
-    assert ids_after((replace(one, updated_ns=seen_ns), replace(near, updated_ns=seen_ns))) == [
+    assert ids_after((one._replace(updated_ns=seen_ns), near._replace(updated_ns=seen_ns))) == [
         0,
         1,
     ]
     within = make_track((1.0, 0.0, 0.0), ids=(90, 91), track_id=1)
-    both = (replace(one, updated_ns=seen_ns), replace(within, updated_ns=seen_ns))
+    both = (one._replace(updated_ns=seen_ns), within._replace(updated_ns=seen_ns))
     assert ids_after(both) == [0]
 
 
@@ -93,4 +96,4 @@ def test_a_track_that_is_hardly_known_may_be_off() -> None:
     assert ids_after((car, new)) == [0, 1]
     x, f, P = car.body.state
     P = P + np.diag([1.0, 1.0, *np.zeros(len(P) - 2)])
-    assert ids_after((replace(car, body=car.body._replace(state=BodyState(x, f, P))), new)) == [0]
+    assert ids_after((car._replace(body=car.body._replace(state=BodyState(x, f, P))), new)) == [0]

@@ -33,11 +33,15 @@ def driven(speeds: list[float], sigma: float = 0.2) -> SpeedHistory:
 
 
 def likelihood(speed: float, sigma: float = 0.2) -> FloatArray:
-    return speed_log_likelihood(np.array(speed), np.array(sigma))
+    return np.asarray(speed_log_likelihood(np.array([speed]), np.array([sigma]))[0])
+
+
+def of_size(size: FloatArray, sigma: FloatArray) -> FloatArray:
+    return np.asarray(size_log_likelihood(size[None], sigma[None])[0])
 
 
 def class_of(history: SpeedHistory, size: FloatArray) -> FloatArray:
-    return class_probability(history_log_likelihood(history), size_log_likelihood(size, SHARP))
+    return class_probability(history_log_likelihood(history), of_size(size, SHARP))
 
 
 def probability(speeds: list[float], size: tuple[float, float, float]) -> dict[str, float]:
@@ -69,8 +73,8 @@ def test_usual_road_users(speeds: list[float], size: tuple[float, float, float],
 
 
 def test_length_and_width_may_be_swapped() -> None:
-    a = size_log_likelihood(np.array([1.7, 0.5, 1.7]), SHARP)
-    b = size_log_likelihood(np.array([0.5, 1.7, 1.7]), SHARP)
+    a = of_size(np.array([1.7, 0.5, 1.7]), SHARP)
+    b = of_size(np.array([0.5, 1.7, 1.7]), SHARP)
     np.testing.assert_array_equal(a, b)
 
 
@@ -107,7 +111,7 @@ def test_many_tracks_at_once_are_each_alone() -> None:
     many = speed_log_likelihood(speed, sigma[:, 0]), size_log_likelihood(size, sigma)
     for k in range(5):
         np.testing.assert_allclose(many[0][k], likelihood(float(speed[k]), float(sigma[k, 0])))
-        np.testing.assert_allclose(many[1][k], size_log_likelihood(size[k], sigma[k]))
+        np.testing.assert_allclose(many[1][k], of_size(size[k], sigma[k]))
 
 
 def track_of(track_id: int, speed: float, size: FloatArray) -> ObjectTrack:

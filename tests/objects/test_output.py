@@ -1,20 +1,24 @@
 """Output conversion: a track's fields, and the state that is reported."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from object_fixtures import FRAME_NS, T_WORLD_CAM0, make_track, small_rig
 
 from ovmot.objects.body_kernel import BodyState
-from ovmot.objects.output import to_object_track
+from ovmot.objects.output import to_object_tracks
 from ovmot.objects.track import Track, TrackState
 from ovmot.types import ObjectTrack
 
 
 def converted(track: Track, now_ns: int = FRAME_NS) -> ObjectTrack:
-    uv = np.array([[0.0, 1.0], [8.0, 9.0]])
-    return to_object_track(track, now_ns, uv, T_WORLD_CAM0, small_rig())
+    pixels = np.array([[0.0, 1.0, 0.0, 1.0], [5.0, 70.0, 0.0, 0.0], [8.0, 9.0, 0.0, 0.0]])
+    owner = np.array([1, -1, 1])
+    other = make_track(track_id=3)
+    tracks = [other, track]
+    out = to_object_tracks(tracks, now_ns, pixels, owner, T_WORLD_CAM0, small_rig())
+    assert [t.track_id for t in out] == [3, track.track_id]
+    assert out[0].n_points == 0
+    return out[1]
 
 
 def test_fields_are_those_of_the_track() -> None:
@@ -33,7 +37,7 @@ def test_fields_are_those_of_the_track() -> None:
 def test_the_centre_is_half_as_uncertain_as_the_size() -> None:
     track = make_track((10.0, 1.0, 1.0), (3.0, 0.0, 0.0))
     box = track.box._replace(yaw=0.5 * np.pi, std_size=np.array([2.0, 0.4, 0.6]))
-    out = converted(replace(track, box=box))
+    out = converted(track._replace(box=box))
     added = out.std_position**2 - np.diag(track.covariance)[:3]
     np.testing.assert_allclose(added, [0.2**2, 1.0**2, 0.3**2], atol=1e-9)
 
@@ -53,5 +57,5 @@ def test_a_missed_track_stays_confirmed_while_it_is_known_in_view(
     track = make_track((x, 0.0, 1.0), state=TrackState.COASTING)
     before = track.body.state
     unsure = BodyState(before.x, before.f, sigma_m**2 * np.eye(len(before.P)))
-    track = replace(track, body=track.body._replace(state=unsure))
+    track = track._replace(body=track.body._replace(state=unsure))
     assert converted(track, FRAME_NS + round(1e9 * missed_s)).state == state

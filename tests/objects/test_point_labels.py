@@ -1,6 +1,6 @@
 """Labels of points: what their track does, where that is clear; else unknown."""
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.point_labels import Speeds, label_points, speeds_of
 from ovmot.objects.track import Track, TrackState
+from ovmot.objects.track_features import hulls_of
 from ovmot.types import PointLabel, ScenePoints
 
 UNKNOWN, STATIC, DYNAMIC = (int(k) for k in PointLabel)
@@ -31,11 +32,16 @@ def motions(velocity: FloatArray, x_m: float = 0.0) -> FeatureMotions:
     return feature_motions(velocity, np.tile([x_m, 0.0, 0.0], (len(velocity), 1)))
 
 
+def labelled(
+    points: ScenePoints, owner: IntArray, tracks: Sequence[Track], moving: FeatureMotions,
+    before: Speeds,
+) -> ScenePoints:  # fmt: skip
+    return label_points(FRAME_NS, points, owner, tracks, hulls_of(tracks), moving, before)
+
+
 def label_of(body: Track, before: Speeds = NOTHING_BEFORE, segmented: int = STATIC) -> int:
     """The label of a point that goes as its track does."""
-    points = label_points(
-        FRAME_NS, seen(segmented), np.array([0]), [body], motions(body.velocity[None]), before
-    )
+    points = labelled(seen(segmented), np.array([0]), [body], motions(body.velocity[None]), before)
     return int(points.label[0])
 
 
@@ -76,7 +82,7 @@ def test_beside_a_body_points_rest() -> None:
     body = track(np.array([2.0, 0.0, 0.0]))
     v = np.array([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.8, 0.0, 0.0], [np.nan] * 3])
     owner = np.zeros(4, np.int64)
-    points = label_points(FRAME_NS, seen(DYNAMIC, 4), owner, [body], motions(v), NOTHING_BEFORE)
+    points = labelled(seen(DYNAMIC, 4), owner, [body], motions(v), NOTHING_BEFORE)
     assert points.label.tolist() == [DYNAMIC, STATIC, UNKNOWN, DYNAMIC]
     np.testing.assert_array_equal(points.track_id, owner + 7)
 
@@ -87,11 +93,11 @@ def test_where_a_body_moves_rest_must_be_seen(x_m: float, label: int) -> None:
     body = track(np.array([2.0, 0.0, 0.0]))
     v = np.array([[1.9, 0.0, 0.0], [0.2, 0.0, 0.0], [np.nan] * 3])
     arguments = np.full(3, -1), [body], motions(v, x_m), NOTHING_BEFORE
-    points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
+    points = labelled(seen(STATIC, 3), *arguments)
     assert points.label.tolist() == [label, STATIC, STATIC]
     standing = track(np.zeros(3))
     arguments = np.full(3, -1), [standing], motions(v, x_m), NOTHING_BEFORE
-    points = label_points(FRAME_NS, seen(STATIC, 3), *arguments)
+    points = labelled(seen(STATIC, 3), *arguments)
     assert points.label.tolist() == [STATIC] * 3
 
 
@@ -99,13 +105,13 @@ def test_what_moves_alone_is_unknown() -> None:
     owner: IntArray = np.array([-1, 0])
     tentative = track(np.array([2.0, 0.0, 0.0]), state=TrackState.TENTATIVE)
     arguments = owner, [tentative], motions(np.zeros((2, 3))), NOTHING_BEFORE
-    assert label_points(FRAME_NS, seen(DYNAMIC, 2), *arguments).label.tolist() == [UNKNOWN, DYNAMIC]
-    assert label_points(FRAME_NS, seen(STATIC, 2), *arguments).label.tolist() == [STATIC, STATIC]
+    assert labelled(seen(DYNAMIC, 2), *arguments).label.tolist() == [UNKNOWN, DYNAMIC]
+    assert labelled(seen(STATIC, 2), *arguments).label.tolist() == [STATIC, STATIC]
 
 
 def test_speeds_are_in_the_order_of_ids() -> None:
     bodies = [
-        replace(track(np.array([3.0, 4.0, 0.0])), track_id=9),
+        track(np.array([3.0, 4.0, 0.0]))._replace(track_id=9),
         track(np.array([0.0, 1.0, 0.0])),
     ]
     speeds = speeds_of(5, bodies)

@@ -11,8 +11,6 @@ from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.track import (
     TrackState,
     advance_track,
-    centre_sigma,
-    correlated_count,
     found_again,
     horizontal_variance,
     measured_track,
@@ -43,15 +41,6 @@ def test_one_measurement_of_many_features_that_surely_cross_is_enough(
     assert start_track(0, frame_of(scene_points([])), seen, body).state == state
 
 
-def test_measurements_of_one_span_are_correlated() -> None:
-    np.testing.assert_array_equal(correlated_count(np.array([0.4, 0.1]), np.array(0.2)), [2.0, 1.0])
-
-
-def test_the_centre_is_as_unsure_as_the_body_is_large() -> None:
-    sizes = np.array([[4.0, 1.8, 1.5], [0.4, 0.4, 0.4]])
-    np.testing.assert_allclose(centre_sigma(sizes), [1.0, 0.2])
-
-
 def test_unseen_a_track_coasts_and_becomes_unsure() -> None:
     track = make_track((10.0, 1.0, 1.0), (4.0, 0.0, 0.0))
     later = advance_track(track, frame_of(scene_points([]), 6 * FRAME_NS))
@@ -59,7 +48,7 @@ def test_unseen_a_track_coasts_and_becomes_unsure() -> None:
     np.testing.assert_allclose(later.position - track.position, [2.0, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(later.box.hull_centre - track.box.hull_centre, [2.0, 0.0, 0.0])
     assert horizontal_variance(later) > horizontal_variance(track)
-    tentative = replace(track, state=TrackState.TENTATIVE)
+    tentative = track._replace(state=TrackState.TENTATIVE)
     assert advance_track(tentative, frame_of(scene_points([]))).state == TrackState.TENTATIVE
 
 

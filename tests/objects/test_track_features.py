@@ -6,13 +6,18 @@ from object_fixtures import feature_motions, frame_of, make_track, scene_points
 from ovmot.objects.body_box import GAP_M
 from ovmot.objects.track import TrackState
 from ovmot.objects.track_features import (
+    LIMITS,
+    are_seen,
+    held_by,
     hulls_of,
-    near_boxes,
+    ids_of,
+    moving_of,
     own_features,
-    track_ids,
+    owners,
     velocities_of_members,
     with_exchanged_features,
 )
+from ovmot.objects.track_features_kernel import near_hulls_compiled
 from ovmot.physics import CAR_SIZE_M
 
 END_M = 0.5 * CAR_SIZE_M[0]
@@ -24,16 +29,18 @@ def test_a_feature_is_of_the_track_that_holds_it() -> None:
         make_track(ids=[8], track_id=3, state=TrackState.COASTING),
     ]  # fmt: skip
     ids = np.array([5, 1, 7, 8])
-    assert track_ids(tracks, ids).tolist() == [9, 4, -1, -1]
-    assert track_ids([], ids).tolist() == [-1] * 4
+    owner = owners(held_by(tracks), are_seen(tracks), ids)
+    assert ids_of(tracks)[owner].tolist() == [9, 4, -1, -1]
+    assert ids_of([])[owners(held_by([]), are_seen([]), ids)].tolist() == [-1] * 4
 
 
 def test_features_are_near_the_box_along_the_heading() -> None:
     track = make_track((10.0, 0.0, 1.0), (0.0, 5.0, 0.0), sigma=0.1)  # along y
     p = np.array([[10.0, 2.5, 1.0], [15.0, 0.0, 1.0], [10.0, 0.0, 9.0], [np.nan] * 3])
     seen = feature_motions(np.zeros((4, 3)), p)
-    assert near_boxes([track], seen).tolist() == [[True, False, False, False]]
-    assert near_boxes([], seen).shape == (0, 4)
+    near = near_hulls_compiled(hulls_of([track]), moving_of(seen), LIMITS)
+    assert near.tolist() == [[True, False, False, False]]
+    assert near_hulls_compiled(hulls_of([]), moving_of(seen), LIMITS).shape == (0, 4)
 
 
 def test_a_point_belongs_if_a_vehicle_can_reach_to_it() -> None:
@@ -55,11 +62,11 @@ def test_features_with_a_bodys_velocity_join_and_those_at_rest_leave() -> None:
     seen = feature_motions(v, np.tile([10.0, 0.0, 1.6], (5, 1)))
     frame = frame_of(scene_points([0] * 5, p_cam0=np.tile([0.0, 0.0, 10.0], (5, 1))))
     track = make_track((10.0, 0.0, 1.6), (5.0, 0.0, 0.0), ids=[2])
-    (after,) = with_exchanged_features([track], seen, frame)
+    (after,) = with_exchanged_features([track], hulls_of([track]), seen, frame)
     assert after.feature_id.tolist() == [0]
     # a body that may be at rest gains none
     slow = make_track((10.0, 0.0, 1.6), (0.3, 0.0, 0.0), sigma=1.0)
-    (after,) = with_exchanged_features([slow], seen, frame)
+    (after,) = with_exchanged_features([slow], hulls_of([slow]), seen, frame)
     assert after.feature_id.tolist() == []
 
 
@@ -67,7 +74,9 @@ def test_what_moves_on_with_a_track_is_its_own_and_what_is_new_in_its_box() -> N
     v = np.array([[5.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan] * 3, [np.nan] * 3])
     p = np.array([[90.0, 0.0, 0.0], [10.0, 0.0, 1.6], [10.0, 0.0, 1.6], [50.0, 0.0, 1.6]])
     track = make_track((10.0, 0.0, 1.6), (5.0, 0.0, 0.0), ids=[0])
-    ids, velocity = velocities_of_members([track], feature_motions(v, p))
+    ids, velocity = velocities_of_members(
+        held_by([track]), hulls_of([track]), feature_motions(v, p)
+    )
     assert ids.tolist() == [0, 2]
     np.testing.assert_allclose(velocity, np.tile(track.velocity, (2, 1)))
-    assert len(velocities_of_members([], feature_motions(v, p))[0]) == 0
+    assert len(velocities_of_members(held_by([]), hulls_of([]), feature_motions(v, p))[0]) == 0

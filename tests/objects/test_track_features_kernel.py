@@ -7,15 +7,20 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.so3 import rotation_z
 from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.track_features_kernel import (
+    Held,
     Hulls,
     Limits,
     Moving,
+    alike_velocities_compiled,
+    carried_by_compiled,
     joining_and_leaving_compiled,
     labelled_compiled,
-    members_of_compiled,
+    members_of,
     near_hulls_compiled,
     nearest_of_compiled,
+    owners_of_compiled,
     recovering_compiled,
+    spans_of_compiled,
 )
 
 T, N = 4, 120
@@ -63,13 +68,58 @@ def from_rest_and_body(hulls: Hulls, moving: Moving) -> tuple[FloatArray, FloatA
     return rest, body, np.asarray(same & (rest > body + LIMITS.clearly))
 
 
+def held_of(member: BoolArray) -> Held:
+    """Features with ids 0, 7, 14, ... that tracks hold, and one that is out of view."""
+    ids = [np.append(7 * np.flatnonzero(row), 5) for row in member]
+    first = np.cumsum([0, *(len(own) for own in ids)])
+    return Held(np.concatenate(ids), first)
+
+
 def test_who_holds_a_feature() -> None:
-    held = members_of_compiled(
-        np.array([5, 3, 9, 3, 100]), np.array([0, 2, 2, 5]), np.array([3, 4, 5, 9])
-    )
-    assert held.tolist() == [
+    held = Held(np.array([5, 3, 9, 3, 100]), np.array([0, 2, 2, 5]))
+    ids = np.array([3, 4, 5, 9])
+    assert members_of(held, ids).tolist() == [
         [True, False, True, False], [False] * 4, [True, False, False, True]
     ]  # fmt: skip
+    every, two = np.ones(3, np.bool_), np.array([True, True, False])
+    assert owners_of_compiled(held, every, ids).tolist() == [2, -1, 0, 2]
+    assert owners_of_compiled(held, two, ids).tolist() == [0, -1, 0, -1]
+
+
+def test_what_moves_on_with_a_track() -> None:
+    hulls, moving = scene(5)
+    rng = np.random.default_rng(5)
+    moving.velocity[rng.random(N) < 0.3] = np.nan
+    member = rng.random((T, N)) < 0.1
+    row = carried_by_compiled(held_of(member), 7 * np.arange(N), hulls, moving, LIMITS)
+    carried = member | (near(hulls, moving) & np.isnan(moving.velocity[:, 0]))
+    expected = np.where(carried, np.arange(T)[:, None], -1).max(axis=0)
+    np.testing.assert_array_equal(row, expected)
+    assert (row >= 0).any() and (row < 0).any()
+
+
+def test_the_box_of_a_tracks_features() -> None:
+    rng = np.random.default_rng(6)
+    pixels, owner = rng.uniform(0.0, 500.0, (N, 4)), rng.integers(-1, T - 1, N)
+    owner[0], owner[1] = T, T
+    pixels[0, :2] = np.nan  # seen by the right camera alone
+    box, count = spans_of_compiled(owner, pixels, T + 2)
+    np.testing.assert_array_equal(count, np.bincount(owner[owner >= 0], minlength=T + 2))
+    for t in range(T - 1):
+        uv = pixels[owner == t, :2]
+        np.testing.assert_array_equal(box[t], [*uv.min(axis=0), *uv.max(axis=0)])
+    np.testing.assert_array_equal(box[T], np.tile(pixels[1, :2], 2))
+    assert np.isnan(box[T + 1]).all()
+
+
+def test_which_tracks_have_one_velocity() -> None:
+    hulls, _ = scene(7)
+    hulls.velocity[2] += 3.0
+    found = alike_velocities_compiled(hulls, 0.3, 11.3)
+    C = hulls.velocity_cov[:, None] + hulls.velocity_cov + 0.09 * np.eye(3)
+    d = squared_distance(hulls.velocity[:, None] - hulls.velocity, C)
+    np.testing.assert_array_equal(found, d < 11.3)
+    assert 4 < found.sum() < 16
 
 
 def test_what_is_near_and_what_moves_with_a_track() -> None:
@@ -89,8 +139,8 @@ def test_what_joins_and_what_leaves() -> None:
     confirmed = np.array([True, True, False, False])
     coasting = np.array([False, False, False, True])
     joins, leaves = joining_and_leaving_compiled(
-        member, hulls, moving, confirmed, coasting, LIMITS
-    )  # fmt: skip
+        held_of(member), 7 * np.arange(N), hulls, moving, confirmed, ~coasting, LIMITS
+    )
     rest, body, moves = from_rest_and_body(hulls, moving)
     held, taken = member[~coasting].any(0), np.zeros(N, np.bool_)
     for t in range(T):

@@ -16,6 +16,7 @@ from ovmot.geometry.so3 import rotation_z
 from ovmot.geometry.triangulation import project_stereo, stereo_covariance, triangulate_stereo
 from ovmot.objects import output
 from ovmot.objects.body_birth import start_body
+from ovmot.objects.feature_motions import FeatureHistory
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.physics import CAR_SIZE_M
@@ -112,6 +113,7 @@ class Stage:
 
     def __init__(self) -> None:
         self.tracker = ObjectTracker(small_rig(), ObjectTrackSettings())
+        self.history = FeatureHistory()
         self._past: list[tuple[int, ScenePoints]] = []
 
     def step(
@@ -123,7 +125,7 @@ class Stage:
         history = history_of(past, now_ns, points)
         self._past = [*past, (now_ns, points)]
         return self.tracker.step(
-            frame, found, points,
+            frame, found, points, self.history.add(now_ns, points, T_WORLD_CAM0),
             lambda m, prior: start_body(
                 m.feature_id, m.velocity, history, frame, window, small_rig(), prior
             ),

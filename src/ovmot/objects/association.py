@@ -7,19 +7,20 @@ from scipy.optimize import linear_sum_assignment
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
+from ovmot.objects.association_kernel import Bodies, SeenParts, compare_compiled
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.track import (
     CENTRE_SHARE,
     DRIVES_MPS,
+    LEAST_CENTRE_SIGMA_M,
     Track,
     TrackState,
-    centre_sigma,
-    correlated_count,
     is_conclusive,
 )
 from ovmot.physics import CAR_SIZE_M, ROAD_SPEED_SIGMA_MPS, ROAD_USER_AREA_M2, gate
 
 _NEW = 0.1  # probability that a road user in view is not tracked yet
+_SEEN_PARTS = SeenParts(CENTRE_SHARE, LEAST_CENTRE_SIGMA_M, DRIVES_MPS, CAR_SIZE_M[0])
 _SHARED = 2  # common features by which a pair is possible in a wider gate
 
 
@@ -35,8 +36,9 @@ def associate(
     """
     if not tracks or not measurements:
         return {}
-    r, S = innovations(tracks, measurements, now_ns)
-    d = squared_distances(r, S)
+    d, log_density = compare_compiled(
+        bodies_of(tracks, now_ns), bodies_measured(measurements), _SEEN_PARTS
+    )
     share, count = common_features(
         [t.feature_id for t in tracks], [m.feature_id for m in measurements]
     )
@@ -46,7 +48,8 @@ def associate(
     # a lost track is found again by what is rather its own than that of a new body
     lost = np.array([t.state == TrackState.COASTING for t in tracks])
     if lost.any():
-        d[lost[:, None] & (count == 0) & (log_odds_of_old(r, S, measurements) < 0.0)] = np.inf
+        rather_new = log_density < log_density_of_new(measurements)
+        d[lost[:, None] & (count == 0) & rather_new] = np.inf
     # a track that has left the image is found again only by what would start one
     if out_of_view.any():
         inconclusive = ~np.array([is_conclusive(m) for m in measurements])
@@ -54,62 +57,35 @@ def associate(
     return dict(assign(d, share, count))
 
 
-def innovations(
-    tracks: Sequence[Track], measurements: Sequence[ObjectMeasurement], now_ns: int
-) -> tuple[FloatArray, FloatArray]:
-    """Position and velocity of measurements less those of predicted tracks (T, M, 6), and their
-    covariance (T, M, 6, 6).
-
-    What drives is longer than what may have been seen of it: after an occlusion its other end may
-    come into view.
-    """
-    state = np.array([np.concatenate([t.position, t.velocity]) for t in tracks])
-    P = np.array([t.covariance for t in tracks])
-    value = np.array([np.concatenate([m.position, m.velocity]) for m in measurements])
-    R = np.array([m.covariance for m in measurements])
-    size = np.maximum(
-        np.array([t.size for t in tracks])[:, None], np.array([m.size for m in measurements])
+def bodies_of(tracks: Sequence[Track], now_ns: int) -> Bodies:
+    """The predicted tracks."""
+    return Bodies(
+        np.array([(*t.position, *t.velocity) for t in tracks]),
+        np.array([t.covariance for t in tracks]),
+        np.array([t.size for t in tracks]),
+        np.array([1e-9 * (now_ns - t.measured_ns) for t in tracks]),
     )
-    since = np.array([1e-9 * (now_ns - t.measured_ns) for t in tracks])
-    correlated = correlated_count(np.array([m.span_s for m in measurements]), since[:, None])
-    spread = np.zeros((len(tracks), len(measurements), 6, 6))
-    spread[..., :3, :3] = (centre_sigma(size) ** 2)[..., None, None] * np.eye(3)
-    S = P[:, None] + (R + spread) * correlated[..., None, None]
-    v = state[:, 3:]
-    speed = np.hypot(v[:, 0], v[:, 1])
-    heading = np.where(speed > DRIVES_MPS, 1.0, 0.0)[:, None] * v / np.maximum(speed, 1e-9)[:, None]
-    hidden = np.maximum(CAR_SIZE_M[0] - size[..., 0], 0.0) * CENTRE_SHARE
-    S[..., :3, :3] += (hidden**2)[..., None, None] * (heading[:, :, None] * heading[:, None])[
-        :, None
-    ]
-    return np.asarray(value - state[:, None]), S
 
 
-def log_odds_of_old(
-    r: FloatArray, S: FloatArray, measurements: Sequence[ObjectMeasurement]
-) -> FloatArray:
-    """Logarithm (T, M) of how much likelier a measurement is of a track than of a new body.
+def bodies_measured(measurements: Sequence[ObjectMeasurement]) -> Bodies:
+    """The bodies of the measurements."""
+    return Bodies(
+        np.array([(*m.position, *m.velocity) for m in measurements]),
+        np.array([m.covariance for m in measurements]),
+        np.array([m.size for m in measurements]),
+        np.array([m.span_s for m in measurements]),
+    )
 
-    By their densities over the level place and velocity: the innovation's (T, M, 6) with its
-    covariance (T, M, 6, 6), against new road users anywhere at road users' velocities.
-    """
-    level = np.array([0, 1, 3, 4])
-    old = log_density(r[..., level], S[..., level[:, None], level])
+
+def log_density_of_new(measurements: Sequence[ObjectMeasurement]) -> FloatArray:
+    """Logarithm (M,) of the density of measurements of new road users, which may be anywhere, at
+    road users' velocities; over the level place and velocity."""
     v = np.array([m.velocity[:2] for m in measurements])
     C = np.array([m.covariance[3:5, 3:5] for m in measurements])
     C = C + np.diag(np.square(ROAD_SPEED_SIGMA_MPS[:2]))
-    return np.asarray(old - np.log(_NEW / ROAD_USER_AREA_M2) - log_density(v, C))
-
-
-def log_density(r: FloatArray, S: FloatArray) -> FloatArray:
-    """Of Gaussian vectors (..., k) with covariance (..., k, k)."""
-    _, log_det = np.linalg.slogdet(2.0 * np.pi * S)
-    return np.asarray(-0.5 * (squared_distances(r, S) + log_det))
-
-
-def squared_distances(r: FloatArray, S: FloatArray) -> FloatArray:
-    """Squared Mahalanobis distances (...) of vectors (..., k) with covariance (..., k, k)."""
-    return np.asarray((r * np.linalg.solve(S, r[..., None])[..., 0]).sum(-1))
+    _, log_det = np.linalg.slogdet(2.0 * np.pi * C)
+    squared = (v * np.linalg.solve(C, v[..., None])[..., 0]).sum(-1)
+    return np.asarray(np.log(_NEW / ROAD_USER_AREA_M2) - 0.5 * (squared + log_det))
 
 
 def common_features(

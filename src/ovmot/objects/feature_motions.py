@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.geometry.id_sets import positions
-from ovmot.objects.features_kernel import feature_motions_compiled
+from ovmot.objects.features_kernel import feature_motions_compiled, places_of_compiled
 from ovmot.physics import ACCEL_SIGMA_MPS2
 from ovmot.types import ScenePoints
 
 _MEMORY_S = 0.8
+_NEVER = -(1 << 62)  # ns: older than any frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,49 +46,38 @@ class FeatureHistory:
     """
 
     def __init__(self) -> None:
-        none = np.empty(0, dtype=np.int64)
-        self._stamps = none  # of the rows in use, oldest first
-        self._rows = none
-        self._place = none  # of the last frame's features
-        self._p_world = np.full((0, 0, 3), np.nan)
+        self._stamps = np.empty(0, dtype=np.int64)  # of the rows
+        self._feature_id = self._place = np.empty(0, dtype=np.int64)  # of the last frame's features
+        self._p_world = np.empty((0, 0, 3))
         self._covariance = np.empty((0, 0, 3, 3))
-        nothing = np.empty((0, 3))
-        self.last = FeatureMotions(
-            none, nothing, np.empty((0, 3, 3)), nothing, np.empty((0, 3, 3)), np.empty(0)
-        )
 
     def add(
         self, timestamp_ns: int, points: ScenePoints, T_world_cam0: FloatArray
     ) -> FeatureMotions:
-        """Add a frame, drop those that are too old, and return the motions of its features."""
-        before = positions(points.feature_id, self.last.feature_id)
-        is_new = before < 0
-        self._make_room(timestamp_ns, len(before))
-        place = np.full(len(before), -1, dtype=np.int64)
-        place[~is_new] = self._place[before[~is_new]]
-        free = np.ones(len(self._p_world), dtype=np.bool_)
-        free[place[~is_new]] = False
-        place[is_new] = np.flatnonzero(free)[: np.count_nonzero(is_new)]
-        self._place = place
-        age_s = np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64)
+        """Add a frame, in place of the oldest one, and return the motions of its features."""
+        self._make_room(timestamp_ns, len(points.feature_id))
+        place, is_new = places_of_compiled(
+            points.feature_id, self._feature_id, self._place, len(self._p_world)
+        )
+        self._feature_id, self._place = points.feature_id, place
+        now = int(self._stamps.argmin())
+        self._stamps[now] = timestamp_ns
         found = feature_motions_compiled(
-            points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new, self._rows, age_s,
-            ACCEL_SIGMA_MPS2, self._p_world, self._covariance,
+            points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new,
+            np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64), now, _MEMORY_S,
+            ACCEL_SIGMA_MPS2,
+            self._p_world, self._covariance,
         )  # fmt: skip
-        self.last = FeatureMotions(points.feature_id, *found)
-        return self.last
+        return FeatureMotions(points.feature_id, *found)
 
     def _make_room(self, timestamp_ns: int, n_features: int) -> None:
-        """A row for a new frame, and a place for each of its features."""
-        kept = self._stamps >= timestamp_ns - round(1e9 * _MEMORY_S)
-        self._stamps, self._rows = self._stamps[kept], self._rows[kept]
+        """Have a row to spare for a new frame, and a place for each of its features."""
         n_places, n_rows = self._p_world.shape[:2]
-        more_places, more_rows = max(n_features - n_places, 0), int(len(self._rows) == n_rows)
+        more_places = 2 * max(n_features - n_places, 0)
+        spare = self._stamps < timestamp_ns - round(1e9 * _MEMORY_S)
+        more_rows = 0 if spare.any() else n_rows + 1
         if more_places or more_rows:
-            room = ((0, 2 * more_places), (0, n_rows + 1 if more_rows else 0), (0, 0))
+            room = ((0, more_places), (0, more_rows), (0, 0))
             self._p_world = np.pad(self._p_world, room, constant_values=np.nan)
             self._covariance = np.pad(self._covariance, (*room, (0, 0)))
-        free = np.ones(self._p_world.shape[1], dtype=np.bool_)
-        free[self._rows] = False
-        self._stamps = np.append(self._stamps, timestamp_ns)
-        self._rows = np.append(self._rows, np.argmax(free))
+            self._stamps = np.pad(self._stamps, (0, more_rows), constant_values=_NEVER)

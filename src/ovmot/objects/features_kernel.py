@@ -12,6 +12,31 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import squared_mahalanobis
 from ovmot.kernels.stereo import transform
+from ovmot.kernels.table_kernel import rows_of_ids
+
+
+def places_of(
+    feature_id: IntArray, before: IntArray, place_before: IntArray, n_places: int
+) -> tuple[IntArray, BoolArray]:
+    """The place (N,) of each feature in a memory of `n_places`, and which are new there (N,).
+
+    Those of the frame before, with ids `before` (M,), keep theirs, `place_before` (M,); new ones
+    get the free ones in order.
+    """
+    at = rows_of_ids(feature_id, before)
+    place, is_new, free = np.empty(len(at), np.int64), at < 0, np.ones(n_places, np.bool_)
+    for n in range(len(at)):
+        if not is_new[n]:
+            place[n] = place_before[at[n]]
+            free[place[n]] = False
+    s = 0
+    for n in range(len(at)):
+        if is_new[n]:
+            while not free[s]:
+                s += 1
+            place[n] = s
+            s += 1
+    return place, is_new
 
 
 def feature_motions(
@@ -20,8 +45,9 @@ def feature_motions(
     T_world_cam0: FloatArray,
     place: IntArray,
     is_new: BoolArray,
-    rows: IntArray,
     age_s: FloatArray,
+    now: int,
+    memory_s: float,
     accel_mps2: float,
     p_kept: FloatArray,
     cov_kept: FloatArray,
@@ -30,11 +56,11 @@ def feature_motions(
 
     The part of the positions' noise falls with the span, that of an acceleration grows. `p_kept`
     (S, T, 3) and `cov_kept` (S, T, 3, 3) hold earlier positions in world, feature n in `place`
-    (N,); the present ones are added. `rows` (k,): those rows that count, oldest first, the present
-    one last, `age_s` (k,) ago. Returned are position, its covariance, velocity, its covariance, and
+    (N,), of times `age_s` (T,) ago; the present ones are put into row `now`, and those older than
+    `memory_s` do not count. Returned are position, its covariance, velocity, its covariance, and
     the part of a possible acceleration in that variance; NaN where not known.
     """
-    n_features, now = len(place), rows[-1]
+    n_features = len(place)
     p, cov = np.empty((n_features, 3)), np.empty((n_features, 3, 3))
     velocity, velocity_cov = np.full((n_features, 3), np.nan), np.full((n_features, 3, 3), np.nan)
     change = np.full(n_features, np.nan)
@@ -51,16 +77,16 @@ def feature_motions(
         if not math.isfinite(p[n, 0]):
             continue
         best, least, trace = -1, np.inf, cov[n, 0, 0] + cov[n, 1, 1] + cov[n, 2, 2]
-        for k in range(len(rows) - 1):
-            r, dt = rows[k], age_s[k]
-            if math.isfinite(p_kept[s, r, 0]):
+        for r in range(len(age_s)):
+            dt = age_s[r]
+            if r != now and dt <= memory_s and math.isfinite(p_kept[s, r, 0]):
                 C = cov_kept[s, r]
                 noise = (trace + C[0, 0] + C[1, 1] + C[2, 2]) / dt**2
                 error = noise + 3.0 * (0.5 * accel_mps2 * dt) ** 2
                 if error < least:
-                    best, least = k, error
+                    best, least = r, error
         if best >= 0:
-            r, dt = rows[best], age_s[best]
+            r, dt = best, age_s[best]
             change[n] = (0.5 * accel_mps2 * dt) ** 2
             for a in range(3):
                 velocity[n, a] = (p[n, a] - p_kept[s, r, a]) / dt
@@ -121,4 +147,5 @@ def distance_from_box(p: FloatArray, centre: FloatArray, size: FloatArray, yaw: 
 
 
 _FOLDER = code_folder(Path(__file__))
+places_of_compiled = compiled(places_of, _FOLDER)
 feature_motions_compiled = compiled(feature_motions, _FOLDER)

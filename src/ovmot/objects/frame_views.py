@@ -9,20 +9,20 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.triangulation import stereo_covariance
 from ovmot.objects.body_kernel import EgoStep
 from ovmot.objects.body_step_kernel import FrameViews
-from ovmot.types import PixelNoise, PoseWindow, ScenePoints
+from ovmot.objects.feature_motions import FeatureMotions
+from ovmot.types import PixelNoise, PoseWindow
 
 
 def views_now(
-    points: ScenePoints, now_ns: int, window: PoseWindow, before: PoseWindow | None,
-    rig: StereoRig, noise: PixelNoise,
+    xy: FloatArray, motions: FeatureMotions, now_ns: int, window: PoseWindow,
+    before: PoseWindow | None, rig: StereoRig, noise: PixelNoise,
 ) -> FrameViews:  # fmt: skip
-    """The newest frame's, by its points; `before`: the window of the last one."""
+    """The newest frame's, by the normalized coordinates (N, 4) of its features and their places;
+    `before`: the window of the last one."""
     T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
-    R = T_world_cam0[:3, :3]
     common, correction = _last_common(window, before)
     return FrameViews(
-        now_ns, points.feature_id, rig.normalize(points.pixels),
-        se3.apply(T_world_cam0, points.p_cam0), R @ points.cov_cam0 @ R.T, T_world_cam0,
+        now_ns, motions.feature_id, xy, motions.p_world, motions.position_cov, T_world_cam0,
         se3.inverse(T_world_cam0), np.ascontiguousarray(rig.T_cam1_cam0),
         rig.normalized_sigma(noise.sigma_px) ** 2, rig.cam0.fx, rig.baseline,
         drift_variance(noise, rig, 1), noise.drift_per_flow,

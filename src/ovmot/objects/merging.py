@@ -1,14 +1,13 @@
 """Merging of duplicates: two tracks of one body become one."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ovmot.geometry.so3 import rotation_z
-from ovmot.objects.bodies_kernel import velocity_distance_compiled
 from ovmot.objects.body_box import gap_of
 from ovmot.objects.track import Track, TrackState
+from ovmot.objects.track_features_kernel import Hulls, alike_velocities_compiled
 from ovmot.physics import CAR_SIZE_M, CYCLIST_SIZE_M, MAX_VEHICLE_SIZE_M, SIZE_SPREAD, gate
 
 _MERGE_FRAMES = 3  # in a row after which a track that lies on an older one ends
@@ -18,36 +17,35 @@ BESIDE_NS = 500_000_000
 """Two tracks that were seen together for so long are two bodies."""
 
 
-def merge_duplicates(tracks: Sequence[Track]) -> tuple[Track, ...]:
-    """The tracks, those merged with an older one of which they were duplicates for some frames.
+def merge_duplicates(tracks: Sequence[Track], hulls: Hulls) -> tuple[Track, ...]:
+    """The T tracks, those merged with an older one of which they were duplicates for some frames.
 
     The older one's id stays, with the state of the one with more features. Until then a new
-    duplicate stays tentative.
+    duplicate stays tentative. `hulls` are those of the tracks.
     """
-    out: list[Track] = []
-    for track in tracks:
-        older = next((k for k, other in enumerate(out) if _are_one(track, other)), None)
+    alike = alike_velocities_compiled(hulls, _SPEED_SPREAD, gate(3, 0.99))
+    out: dict[int, Track] = {}  # by the row of the hull that each of them has
+    for k, track in enumerate(tracks):
+        older = next((i for i in out if alike[i, k] and _are_one(track, out[i])), None)
         if older is None:
-            out.append(replace(track, overlaps=max(track.overlaps - 1, 0)))
+            out[k] = track._replace(overlaps=max(track.overlaps - 1, 0))
         elif track.overlaps + 1 < _MERGE_FRAMES:
             young = track.state == TrackState.CONFIRMED and track.hits <= 2 * _MERGE_FRAMES
             state = TrackState.TENTATIVE if young else track.state
-            out.append(replace(track, state=state, overlaps=track.overlaps + 1))
+            out[k] = track._replace(state=state, overlaps=track.overlaps + 1)
         else:
             out[older] = _merge(out[older], track)
-    return tuple(out)
+    return tuple(out.values())
 
 
 def _merge(track: Track, other: Track) -> Track:
     """A track and a younger one of the same body: with the state of the one with more features."""
     known = track if len(track.feature_id) >= len(other.feature_id) else other
-    return replace(known, track_id=track.track_id, overlaps=0)
+    return known._replace(track_id=track.track_id, overlaps=0)
 
 
 def _are_one(track: Track, other: Track) -> bool:
-    """Can two tracks be of one body: one velocity, and a hull around both that a vehicle has?"""
-    if not _same_velocity(track, other):
-        return False
+    """Can two tracks of one velocity be of one body: has a vehicle a hull like that around both?"""
     sigma = sum(float(np.sqrt(t.body.state.P[0, 0] + t.body.state.P[1, 1])) for t in (track, other))
     more = max(track, other, key=lambda t: len(t.feature_id))
     less = other if more is track else track
@@ -68,11 +66,3 @@ def _are_one(track: Track, other: Track) -> bool:
 def _beside(track: Track, other: Track) -> bool:
     """Were they seen side by side?"""
     return max(track.born_ns, other.born_ns) + BESIDE_NS <= min(track.updated_ns, other.updated_ns)
-
-
-def _same_velocity(track: Track, other: Track) -> bool:
-    """Are two velocities equal within their covariance?"""
-    dv = track.velocity - other.velocity
-    P = track.velocity_cov + other.velocity_cov
-    distance = velocity_distance_compiled(dv, np.ascontiguousarray(P), _SPEED_SPREAD)
-    return distance < gate(3, 0.99)

@@ -10,9 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from ovmot.geometry.arrays import FloatArray
+from ovmot.objects.motion_class_kernel import (
+    Classes,
+    size_log_likelihood_compiled,
+    speed_log_likelihood_compiled,
+)
 from ovmot.physics import (
     CAR_SIZE_M,
     CYCLIST_MPS,
@@ -32,10 +36,14 @@ CLASSES = ("walker", "cyclist", "vehicle")
 """In the order of all arrays (3,) of classes."""
 SLOW_MPS = 0.5
 """Half of the slowest walking (R. Bohannon, Age and Ageing 26, 1997: comfortable gait from 1.0)."""
-_SIZES = np.array([WALKER_SIZE_M, CYCLIST_SIZE_M, CAR_SIZE_M])
-_MAX_MPS = np.array(MAX_ROAD_MPS)
-_PACE = np.array([WALKER_MPS, CYCLIST_MPS])
-_PACE_SPREAD = np.array([WALKER_SIGMA_MPS, CYCLIST_SIGMA_MPS])
+_CLASSES = Classes(
+    size=np.array([WALKER_SIZE_M, CYCLIST_SIZE_M, CAR_SIZE_M]),
+    size_spread=SIZE_SPREAD,
+    greatest_mps=np.array(MAX_ROAD_MPS),
+    pace=np.array([WALKER_MPS, CYCLIST_MPS]),
+    pace_spread=np.array([WALKER_SIGMA_MPS, CYCLIST_SIGMA_MPS]),
+    odd_share=ODD_SPEED_SHARE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,36 +93,22 @@ def class_probability(speeds: FloatArray, sizes: FloatArray) -> FloatArray:
 
 
 def speed_log_likelihood(speed: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Log density (..., 3) of speeds (...), m/s, measured with these standard deviations (...).
+    """Log density (T, 3) of speeds (T,), m/s, measured with these standard deviations (T,).
 
     Walkers and cyclists go at their usual pace; some, as runners, and all vehicles at any speed up
     to the greatest of their class.
     """
-    v, s = np.asarray(speed)[..., None], np.asarray(sigma)[..., None]
-    spread = np.hypot(_PACE_SPREAD, s)
-    usual = -0.5 * ((v - _PACE) / spread) ** 2 - np.log(spread * np.sqrt(2.0 * np.pi))
-    anywhere = log_ndtr((_MAX_MPS - v) / np.maximum(s, 1e-3)) - np.log(_MAX_MPS)
-    named = np.logaddexp(
-        np.log1p(-ODD_SPEED_SHARE) + usual, np.log(ODD_SPEED_SHARE) + anywhere[..., :2]
-    )
-    return np.concatenate([named, anywhere[..., 2:]], axis=-1)
+    return speed_log_likelihood_compiled(speed, sigma, _CLASSES)
 
 
 def size_log_likelihood(size: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Log density (..., 3) of what was seen of bodies: length, width and height (..., 3) m.
+    """Log density (T, 3) of what was seen of bodies: length, width and height (T, 3) m.
 
-    `sigma` (..., 3): their standard deviations. NaN counts as not seen. Of a body's extent s, what
+    `sigma` (T, 3): their standard deviations. NaN counts as not seen. Of a body's extent s, what
     is seen of it has the density 1/s up to s, which has the class's spread; s itself stands for its
-    mean in the density. The longer level side is held against the length.
+    mean in the density. Vehicles are of all lengths, widths and heights from a car's on.
     """
-    level = np.argsort(-np.asarray(size)[..., :2], axis=-1)
-    order = np.concatenate([level, np.full((*level.shape[:-1], 1), 2)], axis=-1)
-    seen, noise = (np.take_along_axis(np.asarray(x), order, -1) for x in (size, sigma))
-    spread = np.hypot(SIZE_SPREAD * _SIZES, noise[..., None, :])
-    each = log_ndtr((_SIZES - seen[..., None, :]) / spread) - np.log(_SIZES)
-    # vehicles are of all lengths, widths and heights from a car's on
-    each[..., 2, :] = -np.log(_SIZES[2])
-    return np.asarray(np.where(np.isfinite(seen[..., None, :]), each, 0.0).sum(axis=-1))
+    return size_log_likelihood_compiled(size, sigma, _CLASSES)
 
 
 def classified(

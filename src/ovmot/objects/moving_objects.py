@@ -13,6 +13,7 @@ from ovmot.interfaces import Feedback
 from ovmot.objects.body import VelocityPrior
 from ovmot.objects.body_birth import start_body
 from ovmot.objects.body_step_kernel import Body
+from ovmot.objects.feature_motions import FeatureHistory
 from ovmot.objects.frame_views import views_now
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.objects.motion_class import SpeedHistory, classified
@@ -63,6 +64,7 @@ class MovingObjects:
         self._settings = settings.objects
         self._of_points = settings.segmentation
         self._tracker = ObjectTracker(rig, settings.object_tracks)
+        self._history = FeatureHistory()
         self._before: PoseWindow | None = None
         self._rng = np.random.default_rng(settings.objects.seed)
         self._speeds: dict[int, SpeedHistory] = {}
@@ -98,7 +100,8 @@ class MovingObjects:
             self._of_points,
             self._rng,
         )
-        frame = views_now(points, now_ns, window, self._before, rig, history.noise)
+        motions = self._history.add(now_ns, points, T_world_cam0)
+        frame = views_now(history.now, motions, now_ns, window, self._before, rig, history.noise)
         self._before = window
 
         def new_body(measurement: ObjectMeasurement, prior: VelocityPrior) -> Body:
@@ -106,10 +109,10 @@ class MovingObjects:
                 measurement.feature_id, measurement.velocity, recent, frame, window, rig, prior
             )
 
-        tracks, points = tracker.step(frame, measurements, points, new_body)
+        tracks, points = tracker.step(frame, measurements, points, motions, new_body)
         self._speeds, tracks = classified(self._speeds, tracks, now_ns)
         held = held_features(points, self._settings.max_excluded_share)
-        moving, velocity = tracker.predicted_velocities()
+        moving, velocity = tracker.predicted_velocities(motions)
         uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)
         return ObjectsResult(
             tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px

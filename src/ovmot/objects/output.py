@@ -1,54 +1,73 @@
-"""Output conversion: a track as the frame's result has it."""
+"""Output conversion: tracks as the frame's result has them."""
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry.arrays import FloatArray
-from ovmot.geometry.so3 import rotation_z
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body_box_kernel import Box
 from ovmot.objects.track import Track, TrackState, horizontal_variance
-from ovmot.objects.track_box import image_box, is_in_view
+from ovmot.objects.track_box import is_in_view, projected_box
+from ovmot.objects.track_features_kernel import spans_of_compiled
 from ovmot.types import ObjectTrack
 
 _MISSED_S = 0.15  # missed for no longer than this, a confirmed track is still called confirmed
+_BOXED = 2  # features in the image that span a box
 _KNOWN_S, _KNOWN_SIGMA_M = 0.5, 0.5  # and for longer while its place in view is known to this
 
 
-def to_object_track(
-    track: Track,
+def to_object_tracks(
+    tracks: Sequence[Track],
     now_ns: int,
-    uv: FloatArray,
+    pixels: FloatArray,
+    owner: IntArray,
     T_world_cam0: FloatArray,
     rig: StereoRig,
-) -> ObjectTrack:
-    """A track's state, box and standard deviations; `uv` (n, 2): its points in the left image.
+) -> tuple[ObjectTrack, ...]:
+    """Tracks' states, boxes and standard deviations; world axes, SI, image boxes in left pixels.
 
-    World axes, SI; the image box in left pixels.
+    `pixels` (N, 4) of the frame's features, the left ones first, and the row `owner` (N,) of the
+    track that holds each of them; -1 for none.
     """
-    variance = np.maximum(np.diag(track.covariance), 0.0)
-    return ObjectTrack(
-        track_id=track.track_id,
-        state=_output_state(track, now_ns, T_world_cam0, rig).value,
-        position=track.position,
-        velocity=track.velocity,
-        yaw=track.yaw,
-        yaw_rate=float(track.body.state.x[7]),
-        size=track.size,
-        box_px=image_box(track, uv, T_world_cam0, rig),
-        n_points=len(uv),
-        std_position=np.sqrt(variance[:3] + _centre_variance(track.box)),
-        std_velocity=np.sqrt(variance[3:6]),
-        std_size=track.box.std_size,
-        std_yaw=float(np.sqrt(track.heading.variance)),
-        std_yaw_rate=float(np.sqrt(track.body.state.P[7, 7])),
+    boxes, n_points = spans_of_compiled(owner, pixels, len(tracks))
+    return tuple(
+        ObjectTrack(
+            track_id=track.track_id,
+            state=_output_state(track, now_ns, T_world_cam0, rig).value,
+            position=track.position,
+            velocity=track.velocity,
+            yaw=track.yaw,
+            yaw_rate=float(track.body.state.x[7]),
+            size=track.size,
+            box_px=box if n >= _BOXED else projected_box(track, T_world_cam0, rig),
+            n_points=n,
+            std_position=sigma[:3],
+            std_velocity=sigma[3:],
+            std_size=track.box.std_size,
+            std_yaw=math.sqrt(track.heading.variance),
+            std_yaw_rate=math.sqrt(track.body.state.P[7, 7]),
+        )
+        for track, box, n, sigma in zip(
+            tracks, boxes, n_points.tolist(), _sigmas([t.box for t in tracks]), strict=True
+        )
     )
 
 
-def _centre_variance(box: Box) -> FloatArray:
-    """Variances (3,) of a box's centre, in world: the face that was seen stays, so the centre is
-    off by half of what the size is."""
-    R = rotation_z(box.yaw)
-    return np.asarray(R**2 @ (0.5 * box.std_size) ** 2)
+def _sigmas(boxes: Sequence[Box]) -> FloatArray:
+    """Standard deviations (T, 6) of boxes' centres and velocities, in world.
+
+    The face that was seen stays: the centre is off by half of what the size is.
+    """
+    variance = np.array([box.covariance.diagonal() for box in boxes]).reshape(-1, 6)
+    half = np.square(0.5 * np.array([box.std_size for box in boxes])).reshape(-1, 3)
+    along = np.square(np.cos([box.yaw for box in boxes]))
+    np.maximum(variance, 0.0, out=variance)
+    variance[:, 0] += along * half[:, 0] + (1.0 - along) * half[:, 1]
+    variance[:, 1] += (1.0 - along) * half[:, 0] + along * half[:, 1]
+    variance[:, 2] += half[:, 2]
+    return np.asarray(np.sqrt(variance))
 
 
 def _output_state(

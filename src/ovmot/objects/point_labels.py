@@ -12,8 +12,8 @@ import numpy as np
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.track import Track, TrackState
-from ovmot.objects.track_features import LIMITS, hulls_of, moving_of
-from ovmot.objects.track_features_kernel import labelled_compiled
+from ovmot.objects.track_features import LIMITS, ids_of, moving_of
+from ovmot.objects.track_features_kernel import Hulls, labelled_compiled
 from ovmot.physics import WALKER_MPS, WALKER_SIGMA_MPS
 from ovmot.types import PointLabel, ScenePoints
 
@@ -38,6 +38,7 @@ def label_points(
     points: ScenePoints,
     owner: IntArray,
     tracks: Sequence[Track],
+    hulls: Hulls,
     motions: FeatureMotions,
     before: Speeds,
 ) -> ScenePoints:
@@ -51,11 +52,10 @@ def label_points(
     names = (int(PointLabel.STATIC), int(PointLabel.DYNAMIC), int(PointLabel.UNKNOWN))
     of_track = [_track_label(t, _speed_now(t, now_ns, before)) for t in tracks]
     label = labelled_compiled(
-        points.label, owner, np.array(of_track, np.int64), hulls_of(tracks), moving_of(motions),
+        points.label, owner, np.array(of_track, np.int64), hulls, moving_of(motions),
         names, LIMITS,
     )  # fmt: skip
-    ids = np.array([*(t.track_id for t in tracks), -1], np.int64)
-    return replace(points, track_id=ids[owner], label=label)
+    return replace(points, track_id=ids_of(tracks)[owner], label=label)
 
 
 def speeds_of(now_ns: int, tracks: Sequence[Track]) -> Speeds:

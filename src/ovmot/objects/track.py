@@ -1,8 +1,8 @@
 """One track of a body: the body, its box, and how it is started, predicted and updated."""
 
 import math
-from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
 """Of the size: standard deviation of the centre of the seen points from that of the body."""
-_LEAST_CENTRE_SIGMA_M = 0.2
+LEAST_CENTRE_SIGMA_M = 0.2
+"""The same of what is small."""
 DRIVES_MPS = 3.0
 """Faster than who walks."""
 _MANY_FEATURES = 5  # with one velocity are not by chance: two measurements are enough
@@ -34,8 +35,7 @@ class TrackState(StrEnum):
     COASTING = "coasting"
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """A body that was seen to move; world axes, SI.
 
     `least_size` (3,): the size that it had before it was lost and found again. `hits` counts
@@ -137,15 +137,15 @@ def advance_track(track: Track, frame: FrameViews) -> Track:
         return _unseen(track, body)
     state = TrackState.CONFIRMED if track.state == TrackState.COASTING else track.state
     if not body.map.outline.any():  # only features that joined it are left: its box goes with it
-        return replace(_unseen(track, body), state=state, updated_ns=frame.timestamp_ns)
+        return _unseen(track, body)._replace(state=state, updated_ns=frame.timestamp_ns)
     camera = frame.step.centre
     heading = updated_heading(track.heading, body, track.position, camera, dt)
     # the box changes slowly in the body's frame, as more of it is seen
     age_s = 1e-9 * (frame.timestamp_ns - track.born_ns)
     gain = 1.0 - math.exp(-dt / max(min(age_s, _STEADY_S), dt))
     box = steady_box(body, track.body, heading, track.box, track.least_size, camera, gain)
-    return replace(
-        track, body=body, state=state, heading=heading, box=box, updated_ns=frame.timestamp_ns
+    return track._replace(
+        body=body, state=state, heading=heading, box=box, updated_ns=frame.timestamp_ns
     )
 
 
@@ -153,25 +153,14 @@ def _unseen(track: Track, body: Body) -> Track:
     """A track whose body was predicted only; its box goes with it."""
     box = carried_box(body, track.body, track.box)
     state = track.state if track.state == TrackState.TENTATIVE else TrackState.COASTING
-    return replace(track, body=body, state=state, box=box)
+    return track._replace(body=body, state=state, box=box)
 
 
 def with_box(track: Track, frame: FrameViews) -> Track:
     """The track with the box of its map."""
-    return replace(
-        track, box=box_of(track.body, track.heading, track.least_size, frame.step.centre)
+    return track._replace(
+        box=box_of(track.body, track.heading, track.least_size, frame.step.centre)
     )
-
-
-def centre_sigma(size: FloatArray) -> FloatArray:
-    """Standard deviation (...,) of the centre of the seen points from that of bodies of a size
-    (..., 3), metres."""
-    return np.asarray(np.maximum(CENTRE_SHARE * size.max(-1), _LEAST_CENTRE_SIGMA_M))
-
-
-def correlated_count(span_s: FloatArray, since_s: FloatArray) -> FloatArray:
-    """How many measurements fall into one's span, when one comes every `since_s`."""
-    return np.maximum(span_s / np.maximum(since_s, 1e-3), 1.0)
 
 
 def measured_track(
@@ -188,8 +177,7 @@ def measured_track(
     confirmed = track.state != TrackState.TENTATIVE
     confirmed |= hits >= settings.confirm_hits and evidence >= settings.confirm_s
     confirmed |= hits > 1 and len(measurement.feature_id) >= _MANY_FEATURES
-    return replace(
-        track,
+    return track._replace(
         state=TrackState.CONFIRMED if confirmed else TrackState.TENTATIVE,
         body=with_members(track.body, frame, own),
         measured_ns=frame.timestamp_ns,
@@ -204,7 +192,7 @@ def found_again(track: Track, body: Body, frame: FrameViews) -> Track:
     camera = frame.step.centre
     heading = new_heading()._replace(shown=track.heading.shown, drives=track.heading.drives)
     heading = updated_heading(heading, body, body.state.x[:3], camera, 0.1)
-    found = replace(track, body=body, heading=heading, least_size=track.box.size)
+    found = track._replace(body=body, heading=heading, least_size=track.box.size)
     return with_box(found, frame)
 
 

@@ -14,14 +14,9 @@ def is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
     return bool(rig.cam0.inside(rig.cam0.project(p_cam0))[0])
 
 
-def image_box(track: Track, uv: FloatArray, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
-    """Left-image box (4,) of a track's points `uv` (N, 2): least u, v, greatest u, v, pixels.
-
-    With fewer than two points that of its 3-D box, clipped at the image border; NaN where its
-    centre is outside the image.
-    """
-    if len(uv) >= 2:
-        return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
+def projected_box(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
+    """Left-image box (4,) of a track's 3-D box, clipped at the image border: least u, v, greatest
+    u, v, pixels; NaN where its centre is outside the image."""
     if not is_in_view(track, T_world_cam0, rig):
         return np.full(4, np.nan)
     half = 0.5 * track.size

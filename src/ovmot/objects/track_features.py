@@ -1,7 +1,6 @@
 """Which features the tracks hold, which join them and which leave them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import log
 
 import numpy as np
@@ -15,13 +14,15 @@ from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.merging import BESIDE_NS
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_features_kernel import (
+    Held,
     Hulls,
     Limits,
     Moving,
+    carried_by_compiled,
     joining_and_leaving_compiled,
-    members_of_compiled,
     near_hulls_compiled,
     nearest_of_compiled,
+    owners_of_compiled,
     recovering_compiled,
 )
 from ovmot.physics import MAX_VEHICLE_SIZE_M, gate
@@ -35,6 +36,8 @@ LIMITS = Limits(
     share=0.3,
     clearly=2.0 * log(100.0),  # one motion is a hundred times likelier
 )
+
+_NONE = np.empty(0, np.int64)
 
 
 def hulls_of(tracks: Sequence[Track]) -> Hulls:
@@ -57,35 +60,28 @@ def moving_of(motions: FeatureMotions) -> Moving:
     )  # fmt: skip
 
 
-def members(tracks: Sequence[Track], feature_id: IntArray) -> BoolArray:
-    """Which features (N,) each track holds (T, N)."""
-    if not tracks:
-        return np.zeros((0, len(feature_id)), np.bool_)
-    held = [t.feature_id for t in tracks]
-    first = np.zeros(len(held) + 1, np.int64)
-    np.cumsum([len(ids) for ids in held], out=first[1:])
-    return members_of_compiled(np.concatenate(held), first, feature_id)
+def held_by(tracks: Sequence[Track]) -> Held:
+    """The features that T tracks hold."""
+    ids = [t.feature_id for t in tracks]
+    first = np.zeros(len(ids) + 1, np.int64)
+    first[1:] = np.cumsum([len(own) for own in ids])
+    return Held(np.concatenate([_NONE, *ids]), first)
 
 
-def owners(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
-    """The row of the track that holds each feature (N,); -1 for none. Coasting tracks hold none."""
-    if not tracks:
-        return np.full(len(feature_id), -1, np.int64)
-    rows = np.arange(len(tracks))
-    coasting = np.array([t.state == TrackState.COASTING for t in tracks])
-    held = np.where(members(tracks, feature_id) & ~coasting[:, None], rows[:, None], -1)
-    return np.asarray(held.max(axis=0))
+def owners(held: Held, holds: BoolArray, feature_id: IntArray) -> IntArray:
+    """The row of the track that holds each feature (N,), of those that hold any (T,); -1 for none,
+    and the last of several."""
+    return owners_of_compiled(held, holds, feature_id)
 
 
-def track_ids(tracks: Sequence[Track], feature_id: IntArray) -> IntArray:
-    """The track that holds each feature (N,), by id; -1 for none. Coasting tracks hold none."""
-    ids = np.array([*(t.track_id for t in tracks), -1], np.int64)
-    return ids[owners(tracks, feature_id)]
+def are_seen(tracks: Sequence[Track]) -> BoolArray:
+    """Which tracks (T,) do not coast: those that do hold no feature of the frame."""
+    return np.array([t.state != TrackState.COASTING for t in tracks], np.bool_)
 
 
-def near_boxes(tracks: Sequence[Track], motions: FeatureMotions) -> BoolArray:
-    """Which features (N,) may lie in or near tracks' boxes: (T, N)."""
-    return near_hulls_compiled(hulls_of(tracks), moving_of(motions), LIMITS)
+def ids_of(tracks: Sequence[Track]) -> IntArray:
+    """The tracks' ids (T + 1,), with -1 at the end: that of no track, of row -1."""
+    return np.array([*(t.track_id for t in tracks), -1], np.int64)
 
 
 def own_features(
@@ -106,18 +102,20 @@ def own_features(
 def recovered(tracks: Sequence[Track], motions: FeatureMotions, frame: FrameViews) -> list[Track]:
     """The tracks, those that were lost with the features in their boxes that move as they do, if
     there are enough."""
-    lost = np.array([t.state == TrackState.COASTING for t in tracks], np.bool_)
-    if not lost.any():
+    seen = are_seen(tracks)
+    if seen.all():
         return list(tracks)
     hulls, moving = hulls_of(tracks), moving_of(motions)
     in_box = near_hulls_compiled(hulls, moving, LIMITS)
-    candidate = recovery_candidates(tracks, in_box, owners(tracks, motions.feature_id))
-    own = recovering_compiled(candidate & lost[:, None], hulls, moving, LIMITS)
+    candidate = recovery_candidates(
+        tracks, in_box, owners(held_by(tracks), seen, motions.feature_id)
+    )
+    own = recovering_compiled(candidate & ~seen[:, None], hulls, moving, LIMITS)
     out = list(tracks)
     for k in np.flatnonzero(own.sum(1) >= LEAST_SEEN).tolist():
         body = with_members(out[k].body, frame, motions.feature_id[own[k]])
-        out[k] = replace(
-            out[k], body=body, state=TrackState.CONFIRMED, updated_ns=frame.timestamp_ns
+        out[k] = out[k]._replace(
+            body=body, state=TrackState.CONFIRMED, updated_ns=frame.timestamp_ns
         )
     return out
 
@@ -139,7 +137,7 @@ def recovery_candidates(tracks: Sequence[Track], in_box: BoolArray, owner: IntAr
 
 
 def with_exchanged_features(
-    tracks: Sequence[Track], motions: FeatureMotions, frame: FrameViews
+    tracks: Sequence[Track], hulls: Hulls, motions: FeatureMotions, frame: FrameViews
 ) -> list[Track]:
     """The tracks with the features that they hold now, as many in their states as have room.
 
@@ -149,27 +147,21 @@ def with_exchanged_features(
     if not tracks:
         return []
     joins, leaves = joining_and_leaving_compiled(
-        members(tracks, motions.feature_id), hulls_of(tracks), moving_of(motions),
-        np.array([t.state == TrackState.CONFIRMED for t in tracks]),
-        np.array([t.state == TrackState.COASTING for t in tracks]), LIMITS,
+        held_by(tracks), motions.feature_id, hulls, moving_of(motions),
+        np.array([t.state == TrackState.CONFIRMED for t in tracks]), are_seen(tracks), LIMITS,
     )  # fmt: skip
     ids = motions.feature_id
     return [
-        replace(track, body=exchange_members(track.body, frame, ids[leaves[k]], ids[joins[k]]))
+        track._replace(body=exchange_members(track.body, frame, ids[leaves[k]], ids[joins[k]]))
         for k, track in enumerate(tracks)
     ]
 
 
 def velocities_of_members(
-    tracks: Sequence[Track], motions: FeatureMotions
+    held: Held, hulls: Hulls, motions: FeatureMotions
 ) -> tuple[IntArray, FloatArray]:
-    """Features (K,) that move on with a track, ids and velocity (K, 3) in world: those that it
-    holds, and those near it whose motion is not known."""
-    if not tracks:
-        return np.empty(0, np.int64), np.empty((0, 3))
-    with_track = members(tracks, motions.feature_id)
-    with_track |= near_boxes(tracks, motions) & ~motions.known
-    row = np.where(with_track, np.arange(len(tracks))[:, None], -1).max(axis=0)
-    known = row >= 0
-    velocity = np.array([t.box.velocity for t in tracks])
-    return motions.feature_id[known], velocity[row[known]]
+    """Features (K,) that move on with a track, ids and velocity (K, 3) in world: those that are
+    `held` by it, and those near it whose motion is not known. `hulls` are those of the tracks."""
+    row = carried_by_compiled(held, motions.feature_id, hulls, moving_of(motions), LIMITS)
+    carried = row >= 0
+    return motions.feature_id[carried], hulls.velocity[row[carried]]

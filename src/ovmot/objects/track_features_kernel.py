@@ -11,6 +11,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.small_matrices import squared_mahalanobis
 from ovmot.kernels.table_kernel import rows_of_ids
 from ovmot.objects.features_kernel import distance_from_box, distance_of_velocity
 
@@ -25,6 +26,14 @@ class Hulls(NamedTuple):
     variance: FloatArray
     velocity: FloatArray
     velocity_cov: FloatArray
+
+
+class Held(NamedTuple):
+    """The features that T tracks hold: `ids` (K,), those of track t from `first[t]` on, up to
+    `first[t + 1]`."""
+
+    ids: IntArray
+    first: IntArray
 
 
 class Moving(NamedTuple):
@@ -51,15 +60,27 @@ class Limits(NamedTuple):
     clearly: float
 
 
-def members_of(ids: IntArray, first: IntArray, feature_id: IntArray) -> BoolArray:
-    """Which features (N,) each track holds (T, N): track t holds `ids` from `first[t]` on, up to
-    `first[t + 1]`."""
-    out = np.zeros((len(first) - 1, len(feature_id)), np.bool_)
+@part
+def members_of(held: Held, feature_id: IntArray) -> BoolArray:
+    """Which features (N,) each track holds (T, N)."""
+    out = np.zeros((len(held.first) - 1, len(feature_id)), np.bool_)
+    at = rows_of_ids(held.ids, feature_id)
     for t in range(len(out)):
-        at = rows_of_ids(ids[first[t] : first[t + 1]], feature_id)
-        for k in at:
-            if k >= 0:
-                out[t, k] = True
+        for k in range(held.first[t], held.first[t + 1]):
+            if at[k] >= 0:
+                out[t, at[k]] = True
+    return out
+
+
+def owners_of(held: Held, holds: BoolArray, feature_id: IntArray) -> IntArray:
+    """The row of the track that holds each feature (N,), of those that `holds` (T,) says hold any;
+    -1 for none, and the last of several."""
+    out = np.full(len(feature_id), -1, np.int64)
+    at = rows_of_ids(held.ids, feature_id)
+    for t in range(len(holds)):
+        for k in range(held.first[t], held.first[t + 1]):
+            if holds[t] and at[k] >= 0:
+                out[at[k]] = t
     return out
 
 
@@ -105,26 +126,58 @@ def moves_with(hulls: Hulls, t: int, moving: Moving, n: int, limits: Limits) -> 
     return bool(same and from_rest > from_body + limits.clearly)
 
 
+def spans_of(owner: IntArray, pixels: FloatArray, n_tracks: int) -> tuple[FloatArray, IntArray]:
+    """Boxes (T, 4) of the left pixels of T tracks' features: least u, v, greatest u, v; and the
+    number (T,) of these. Of N features with `pixels` (N, 4), row `owner` (N,) holds each."""
+    box, count = np.full((n_tracks, 4), np.nan), np.zeros(n_tracks, np.int64)
+    for n in range(len(owner)):
+        t = owner[n]
+        if t >= 0:
+            count[t] += 1
+            for a in range(2):
+                if math.isfinite(pixels[n, a]) and not pixels[n, a] >= box[t, a]:
+                    box[t, a] = pixels[n, a]
+                if math.isfinite(pixels[n, a]) and not pixels[n, a] <= box[t, 2 + a]:
+                    box[t, 2 + a] = pixels[n, a]
+    return box, count
+
+
+def alike_velocities(hulls: Hulls, spread_mps: float, bound: float) -> BoolArray:
+    """Which tracks (T, T) have one velocity: within a squared distance, `spread_mps` allowed."""
+    T, dv, C = len(hulls.yaw), np.empty(3), np.empty((3, 3))
+    out = np.ones((T, T), np.bool_)
+    for s in range(T):
+        for t in range(s):
+            for a in range(3):
+                dv[a] = hulls.velocity[s, a] - hulls.velocity[t, a]
+                for b in range(3):
+                    C[a, b] = hulls.velocity_cov[s, a, b] + hulls.velocity_cov[t, a, b]
+                C[a, a] += spread_mps**2
+            out[s, t] = out[t, s] = squared_mahalanobis(dv, C) < bound
+    return out
+
+
 def joining_and_leaving(
-    member: BoolArray, hulls: Hulls, moving: Moving, confirmed: BoolArray, coasting: BoolArray,
-    limits: Limits,
+    of_tracks: Held, feature_id: IntArray, hulls: Hulls, moving: Moving, confirmed: BoolArray,
+    seen: BoolArray, limits: Limits,
 ) -> tuple[BoolArray, BoolArray]:  # fmt: skip
     """Which features (T, N) join each track and which leave it.
 
     Free features near a confirmed track that move as it does and do not rest join it; those that
     clearly rest leave it. Of two tracks the older one keeps a common feature.
     """
+    member = members_of(of_tracks, feature_id)
     T, N = member.shape
     joins, leaves = np.zeros((T, N), np.bool_), np.zeros((T, N), np.bool_)
     held, taken = np.zeros(N, np.bool_), np.zeros(N, np.bool_)
     for t in range(T):
-        if not coasting[t]:
+        if seen[t]:
             held |= member[t]
     for t in range(T):
         for n in range(N):
             if member[t, n]:
                 leaves[t, n] = taken[n]
-                if not (taken[n] or coasting[t]):
+                if seen[t] and not taken[n]:
                     from_rest, from_body, _ = distances(hulls, t, moving, n, limits)
                     leaves[t, n] = from_rest + limits.clearly < from_body
             elif confirmed[t] and not (held[n] or taken[n]):
@@ -133,6 +186,20 @@ def joining_and_leaving(
         for n in range(N):
             taken[n] |= joins[t, n] or (member[t, n] and not leaves[t, n])
     return joins, leaves
+
+
+def carried_by(
+    held: Held, feature_id: IntArray, hulls: Hulls, moving: Moving, limits: Limits
+) -> IntArray:
+    """The row of the track with which each feature (N,) moves on: the last one that holds it, or
+    that it is near to, where its own motion is not known; -1 for none."""
+    member, out = members_of(held, feature_id), np.full(len(feature_id), -1, np.int64)
+    for t in range(len(member)):
+        for n in range(len(out)):
+            unknown = not math.isfinite(moving.velocity[n, 0])
+            if member[t, n] or (unknown and is_near(hulls, t, moving, n, limits)):
+                out[n] = t
+    return out
 
 
 def recovering(candidate: BoolArray, hulls: Hulls, moving: Moving, limits: Limits) -> BoolArray:
@@ -214,7 +281,10 @@ def fits_hull(
 
 
 _FOLDER = code_folder(Path(__file__))
-members_of_compiled = compiled(members_of, _FOLDER)
+spans_of_compiled = compiled(spans_of, _FOLDER)
+alike_velocities_compiled = compiled(alike_velocities, _FOLDER)
+owners_of_compiled = compiled(owners_of, _FOLDER)
+carried_by_compiled = compiled(carried_by, _FOLDER)
 joining_and_leaving_compiled = compiled(joining_and_leaving, _FOLDER)
 near_hulls_compiled = compiled(near_hulls, _FOLDER)
 recovering_compiled = compiled(recovering, _FOLDER)

@@ -10,10 +10,10 @@ from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.association import associate
 from ovmot.objects.body import LEAST_SEEN, ROAD_USERS, VelocityPrior, prior_of
 from ovmot.objects.body_step_kernel import Body, FrameViews
-from ovmot.objects.feature_motions import FeatureHistory
+from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.merging import merge_duplicates
-from ovmot.objects.output import to_object_track
+from ovmot.objects.output import to_object_tracks
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.track import (
     Track,
@@ -26,11 +26,13 @@ from ovmot.objects.track import (
 )
 from ovmot.objects.track_box import is_in_view
 from ovmot.objects.track_features import (
+    are_seen,
+    held_by,
     hulls_of,
+    ids_of,
     own_features,
     owners,
     recovered,
-    track_ids,
     velocities_of_members,
     with_exchanged_features,
 )
@@ -48,7 +50,7 @@ class ObjectTracker:
         self._rig = rig
         self._settings = settings
         self._tracks: tuple[Track, ...] = ()
-        self._history = FeatureHistory()
+        self._held, self._hulls = held_by(()), hulls_of(())
         self._next_id = 0
         self._speeds = speeds_of(0, ())
 
@@ -57,17 +59,18 @@ class ObjectTracker:
         frame: FrameViews,
         measurements: Sequence[ObjectMeasurement],
         points: ScenePoints,
+        motions: FeatureMotions,
         new_body: Callable[[ObjectMeasurement, VelocityPrior], Body],
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
         """The tracks of this frame, and its points with their tracks' ids and labels.
 
-        `new_body` starts a body by its measurement and a prior of its velocity.
+        `motions` are those of its features. `new_body` starts a body by its measurement and a prior
+        of its velocity.
         """
         settings, rig, now_ns = self._settings, self._rig, frame.timestamp_ns
         T_world_cam0 = frame.T_world_cam0
         # 1 predict the tracks and update them by their features
         tracks = [advance_track(track, frame) for track in self._tracks]
-        motions = self._history.add(now_ns, points, T_world_cam0)
         # 2 associate measurements with tracks: those bring features, and find lost tracks again
         out_of_view = np.array([_has_left(t, T_world_cam0, rig) for t in tracks], dtype=np.bool_)
         matches = associate(tracks, measurements, out_of_view, now_ns)
@@ -90,27 +93,30 @@ class ObjectTracker:
                 self._next_id += 1
         # 5 drop lost tracks, update the sets of features, merge duplicates
         alive = [_missed(t, frame) for t in tracks if _is_alive(t, now_ns, settings)]
-        self._tracks = merge_duplicates(with_exchanged_features(alive, motions, frame))
+        hulls = hulls_of(alive)
+        held = with_exchanged_features(alive, hulls, motions, frame)
+        self._tracks = merge_duplicates(held, hulls)
         # 6 convert for the output, label the points
-        owner = owners(self._tracks, points.feature_id)
-        output = tuple(
-            to_object_track(t, now_ns, points.pixels[owner == k, :2], T_world_cam0, rig)
-            for k, t in enumerate(self._tracks)
-        )
+        self._held = held_by(self._tracks)
+        owner = owners(self._held, are_seen(self._tracks), points.feature_id)
+        output = to_object_tracks(self._tracks, now_ns, points.pixels, owner, T_world_cam0, rig)
         before, self._speeds = self._speeds, speeds_of(now_ns, self._tracks)
-        return output, label_points(now_ns, points, owner, self._tracks, motions, before)
+        self._hulls = hulls_of(self._tracks)
+        labelled = label_points(now_ns, points, owner, self._tracks, self._hulls, motions, before)
+        return output, labelled
 
     def with_track_ids(self, points: ScenePoints) -> ScenePoints:
         """The points of a new frame with the tracks that held their features until now.
 
         Those of confirmed tracks only, and not of duplicates, whose features are of another track.
         """
-        sure = [t for t in self._tracks if t.state == TrackState.CONFIRMED and t.overlaps == 0]
-        return replace(points, track_id=track_ids(sure, points.feature_id))
+        sure = [t.state == TrackState.CONFIRMED and t.overlaps == 0 for t in self._tracks]
+        owner = owners(self._held, np.array(sure, np.bool_), points.feature_id)
+        return replace(points, track_id=ids_of(self._tracks)[owner])
 
-    def predicted_velocities(self) -> tuple[IntArray, FloatArray]:
+    def predicted_velocities(self, motions: FeatureMotions) -> tuple[IntArray, FloatArray]:
         """Features of this frame (K,) that move on with a track, and its velocity (K, 3), world."""
-        return velocities_of_members(self._tracks, self._history.last)
+        return velocities_of_members(self._held, self._hulls, motions)
 
 
 def _has_left(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
@@ -131,5 +137,5 @@ def _is_alive(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
 def _missed(track: Track, frame: FrameViews) -> Track:
     """A tentative track must be measured in consecutive frames: its count begins again."""
     if track.state == TrackState.TENTATIVE and track.measured_ns < frame.timestamp_ns:
-        return replace(track, hits=0, evidence=0.0)
+        return track._replace(hits=0, evidence=0.0)
     return track
