@@ -362,7 +362,7 @@ def spy(monkeypatch: pytest.MonkeyPatch) -> UpdateSpy:
 def test_a_refused_right_observation_never_reaches_the_filter(
     painted_rig: StereoRig, painted_pair: Pair, spy: UpdateSpy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Part of the right image stands 6 px too high: its matches break the epipolar constraint.
+    """Part of the right image stands 3 px too high: its matches break the epipolar constraint.
 
     None of them is in a result, in the track table or in what the filter is given, in no frame;
     their left halves are.
@@ -375,7 +375,7 @@ def test_a_refused_right_observation_never_reaches_the_filter(
         return true_update(ego, table, history)
 
     monkeypatch.setattr(MsckfFilter, "update", update)
-    frames = frames_of(painted_pair, 20, lift=6)
+    frames = frames_of(painted_pair, 20, lift=3)
     odometry = with_filter(painted_rig)
     tested = _spy_on_matches(monkeypatch)
     results = run(odometry, merged(frames, imu_of(2.0)))

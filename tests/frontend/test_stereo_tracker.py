@@ -230,12 +230,12 @@ def test_a_rig_displaced_diagonally_is_matched(painted_rig: StereoRig, painted_p
     np.testing.assert_allclose(np.abs(slope), 2.0 / 3.0, atol=1e-9)
     u, v = seen.pixels[:, 0], seen.pixels[:, 1]
     clear = ((u < 90) | (u > 250)) & (u > 30) & (np.abs(v - 120) > 20)
-    assert np.isfinite(seen.pixels[clear, 2]).mean() > 0.9
+    assert np.isfinite(seen.pixels[clear, 2]).mean() > 0.85
 
 
 def test_no_rejected_match_leaves_the_tracker(painted_rig: StereoRig, painted_pair: Pair) -> None:
-    """A part of the right image stands 6 px too high: what is matched there is rejected."""
-    driven = drive(painted_rig, painted_pair, lift=6)
+    """A part of the right image stands 3 px too high: what is matched there is rejected."""
+    driven = drive(painted_rig, painted_pair, lift=3)
     n_rejected = 0
     for seen, matches in driven:
         rejected = matches.feature_id[~matches.accepted]
@@ -246,7 +246,7 @@ def test_no_rejected_match_leaves_the_tracker(painted_rig: StereoRig, painted_pa
         assert np.isnan(seen.normalized[row, 2:]).all()
         tested = matches.pixels[~matches.accepted]
         np.testing.assert_array_equal(seen.pixels[row, :2], tested[:, :2])  # the left lives on
-        assert np.median(matches.distance_px[~matches.accepted]) == pytest.approx(6.0, abs=0.5)
+        assert np.median(matches.distance_px[~matches.accepted]) == pytest.approx(3.0, abs=0.6)
         paired = np.isfinite(seen.pixels[:, 2])
         assert set(seen.feature_id[paired]) == set(matches.feature_id[matches.accepted])
     assert n_rejected > 40
@@ -267,7 +267,7 @@ def test_a_rejected_match_gives_no_depth_to_the_next_frame(
         return gated, matches
 
     monkeypatch.setattr(stereo_tracker, "gate_matches", spy)
-    driven = drive(painted_rig, painted_pair, lift=6)
+    driven = drive(painted_rig, painted_pair, lift=3)
     assert len(used) == len(driven)
     placed = np.concatenate(used)
     accepted = np.concatenate([matches.accepted for _, matches in driven])
