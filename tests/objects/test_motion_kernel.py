@@ -105,11 +105,11 @@ def test_moving_points_have_the_velocity_of_the_twin(
         shortened += first == n_old
         np.testing.assert_allclose(found.velocity[k], v, rtol=1e-6, atol=1e-8)
         np.testing.assert_allclose(found.velocity_cov[k], C, rtol=1e-5, atol=1e-9)
-        np.testing.assert_allclose(found.predicted[:, k], c.predicted[:, point], rtol=1e-9)
+        np.testing.assert_allclose(found.predicted[k], c.predicted[:, point], rtol=1e-9)
         W, J = np.linalg.inv(c.S_motion[rows, point]), c.J_motion[rows, point]
-        np.testing.assert_allclose(found.weight[rows, k], W, rtol=1e-6, atol=1e-9 * W.max())
+        np.testing.assert_allclose(found.weight[k, rows], W, rtol=1e-6, atol=1e-9 * W.max())
         information = np.swapaxes(J, -1, -2) @ W @ J
-        np.testing.assert_allclose(found.information[rows, k], information, rtol=1e-6, atol=1e-6)
-        assert not found.weight[~rows, k].any() and not found.information[~rows, k].any()
+        np.testing.assert_allclose(found.information[k, rows], information, rtol=1e-6, atol=1e-6)
+        assert not found.weight[k, ~rows].any() and not found.information[k, ~rows].any()
     assert found.point.tolist() == index
     assert len(index) > 6 and shortened > 0

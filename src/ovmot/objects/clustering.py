@@ -34,10 +34,10 @@ class MotionHistory:
     """M points that may move, over L earlier rows and now.
 
     `index` (M,): which they are in `history`, that of all points of the frame; `feature_id`,
-    `track_id` (M,): the object track that holds it, -1 for none. `predicted` (L, M, 3): the points
+    `track_id` (M,): the object track that holds it, -1 for none. `predicted` (M, L, 3): the points
     at rest under the ego motion, `p_cam0` (M, 3) and `cov_cam0` (M, 3, 3) the points now, metres.
-    `weight` (L, M, 4, 4): inverse of the comparison's S_motion, zero where untested; `information`
-    (L, M, 3, 3): of the displacement since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over
+    `weight` (M, L, 4, 4): inverse of the comparison's S_motion, zero where untested; `information`
+    (M, L, 3, 3): of the displacement since. `velocity` (M, 3) and `velocity_cov` (M, 3, 3): over
     all rows, in the camera's axes; `up` (3,): the world's z.
     """
 

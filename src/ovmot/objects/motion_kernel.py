@@ -32,7 +32,7 @@ class MovingPoints(NamedTuple):
     """M points that one velocity explains and that do not seem static, of L earlier frames.
 
     `point` (M,): indices among all points; `velocity` (M, 3) with `velocity_cov` (M, 3, 3);
-    `predicted` (L, M, 3), `weight` (L, M, 4, 4), `information` (L, M, 3, 3): as `MotionHistory`.
+    `predicted` (M, L, 3), `weight` (M, L, 4, 4), `information` (M, L, 3, 3): as `MotionHistory`.
     """
 
     point: IntArray
@@ -208,28 +208,10 @@ def moving_points(
             else:
                 point[count] = candidate[k]
                 count += 1
-    out = MovingPoints(
-        point[:count], velocity[:count], velocity_cov[:count], np.empty((n_rows, count, 3)),
-        np.empty((n_rows, count, 4, 4)), np.empty((n_rows, count, 3, 3)),
+    return MovingPoints(
+        point[:count], velocity[:count], velocity_cov[:count], predicted[:count], weight[:count],
+        information[:count],
     )  # fmt: skip
-    put_by_row(predicted, weight, information, out)
-    return out
-
-
-@inlined_part
-def put_by_row(
-    predicted: FloatArray, weight: FloatArray, information: FloatArray, out: MovingPoints
-) -> None:
-    """Put what was found point by point, (M, L, ...), into the arrays (L, M, ...)."""
-    for row in range(len(out.weight)):
-        for k in range(len(out.point)):
-            for a in range(4):
-                for b in range(4):
-                    out.weight[row, k, a, b] = weight[k, row, a, b]
-                    if a < 3 and b < 3:
-                        out.information[row, k, a, b] = information[k, row, a, b]
-                if a < 3:
-                    out.predicted[row, k, a] = predicted[k, row, a]
 
 
 @part
@@ -290,37 +272,44 @@ def add_row(
             if j < 3:
                 s.D[i, j] = rows.D[row, i, j]
     if step == 2:
-        identity_rows(s)
+        whiten(s.S, s.rows, 0)
+        weigh(s, weight[row], information[row])
     else:
         widen(s.S, s.D, (0.5 * accel_mps2 * span_s**2) ** 2)
         motion_rows(span_s, s)
-    whiten(s.S, s.rows, s.rows.shape[1])
-    if step == 2:
-        weigh(s, weight[row], information[row])
-    else:
+        whiten(s.S, s.rows, s.rows.shape[1])
         add_products(s.rows, s.products)
 
 
 @inlined_part
-def identity_rows(s: Scratch) -> None:
-    """The rows (4, 4) that whitening turns into L⁻¹."""
-    for i in range(4):
-        for j in range(4):
-            s.rows[i, j] = 1.0 if i == j else 0.0
-
-
-@inlined_part
 def weigh(s: Scratch, weight: FloatArray, information: FloatArray) -> None:
-    """The weight S⁻¹ = L⁻ᵀ L⁻¹ of the whitened rows L⁻¹, and the information Dᵀ S⁻¹ D."""
-    add_products(s.rows, weight)
-    for i in range(4):
-        for a in range(3):
-            WD = (
+    """The weight S⁻¹ = L⁻ᵀ L⁻¹ of a row, by the factor L in S, and the information Dᵀ S⁻¹ D.
+
+    L⁻¹, lower triangular as L is, is put into `rows`.
+    """
+    for c in range(4):
+        s.rows[c, c] = s.S[c, c]
+        for i in range(c + 1, 4):
+            total = 0.0
+            for k in range(c, i):
+                total -= s.S[i, k] * s.rows[k, c]
+            s.rows[i, c] = total * s.S[i, i]
+    for a in range(4):
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(a, 4):
+                total += s.rows[i, a] * s.rows[i, b]
+            weight[a, b] = weight[b, a] = total
+    for a in range(3):
+        for i in range(4):
+            s.residual[i] = (
                 weight[i, 0] * s.D[0, a] + weight[i, 1] * s.D[1, a]
                 + weight[i, 2] * s.D[2, a] + weight[i, 3] * s.D[3, a]
             )  # fmt: skip
-            for b in range(3):
-                information[a, b] += WD * s.D[i, b]
+        for b in range(a + 1):
+            total = s.residual[0] * s.D[0, b] + s.residual[1] * s.D[1, b]
+            total += s.residual[2] * s.D[2, b] + s.residual[3] * s.D[3, b]
+            information[a, b] = information[b, a] = total
 
 
 _FOLDER = code_folder(Path(__file__))
