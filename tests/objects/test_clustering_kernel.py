@@ -13,9 +13,9 @@ from ovmot.geometry import so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance
-from ovmot.objects.clustering import compatible_tracks, majority_track, same_body_velocity
 from ovmot.objects.clustering_kernel import (
     NEIGHBOUR_RADIUS_M,
+    SPREAD_SHARE,
     PointMotions,
     cluster,
     cluster_compiled,
@@ -132,7 +132,7 @@ def are_one_body(
 ) -> bool:
     """Do two groups touch, have one velocity, and together measure no more across than a body?"""
     track_id, other = majority_track(points.track_id[group]), majority_track(points.track_id[part])
-    if not compatible_tracks(track_id, other):
+    if track_id != other and min(track_id, other) >= 0:
         return False
     same_track = track_id == other >= 0  # the far end of a lorry
     reach = NEIGHBOUR_RADIUS_M * (KNOWN_REACH if same_track else 1.0)
@@ -140,10 +140,18 @@ def are_one_body(
         return False
     v_group, v_part = (median(points.velocity[index]) for index in (group, part))
     C = sum(points.velocity_cov[index].mean(0) / len(index) for index in (group, part))
-    if not same_body_velocity(v_part, v_group, C, 0.99):
+    spread = TURN_MPS + SPREAD_SHARE * np.linalg.norm(v_group)
+    error = v_part - v_group
+    if error @ np.linalg.solve(C + spread**2 * np.eye(3), error) >= gate(3, 0.99):
         return False
     lateral, sigma = lateral_positions(points, np.concatenate([group, part]))
     return bool(np.ptp(lateral) - 2.0 * sigma < WIDTH_M)
+
+
+def majority_track(track_id: IntArray) -> int:
+    """The track that holds most of the points (n,); -1 where no track holds one."""
+    held = track_id[track_id >= 0]
+    return int(np.bincount(held).argmax()) if len(held) else -1
 
 
 def compatible_pairs(track_ids: IntArray) -> BoolArray:

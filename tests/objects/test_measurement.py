@@ -11,7 +11,7 @@ from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.objects import measurement, static_motion
-from ovmot.objects.measurement import ObjectMeasurement, lies_flat, measure_objects
+from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.segmentation.stereo_history import stereo_history
 from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PixelNoise, PointLabel, PoseWindow, ScenePoints
@@ -194,16 +194,3 @@ def test_uncertain_poses_widen_the_velocity(
     assert added > 0.5 * 2.0 * 1e-4 / unsure.span_s**2
     assert unsure.covariance[1, 1] - sure.covariance[1, 1] > 0.9e-4
     assert np.linalg.eigvalsh(unsure.covariance).min() > 0.0
-
-
-def test_a_body_that_lies_on_the_ground_around_it_is_none() -> None:
-    rng = np.random.default_rng(3)
-    road = np.column_stack([rng.uniform(-3.0, 3.0, (40, 2)), rng.normal(-1.7, 0.02, 40)])
-    wall = np.column_stack([rng.uniform(-3.0, 3.0, (40, 2)), rng.uniform(-1.5, 2.0, 40)])
-    static = np.concatenate([road, wall])
-    patch = np.column_stack([rng.uniform(-1.0, 1.0, (6, 2)), rng.normal(-1.68, 0.03, 6)])
-    car = patch + np.array([0.0, 0.0, 1.0]) * rng.uniform(0.3, 1.3, (6, 1))
-    assert lies_flat(patch, static)
-    assert not lies_flat(car, static)
-    assert not lies_flat(patch, static[:3])  # too little to know the ground
-    assert not lies_flat(patch, static + np.array([20.0, 0.0, 0.0]))  # nor is it known elsewhere

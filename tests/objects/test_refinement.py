@@ -9,7 +9,8 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import triangulate_stereo
-from ovmot.objects.refinement import BodyViews, refine_bodies
+from ovmot.objects.body_views_kernel import BodyViews
+from ovmot.objects.refinement import refine_bodies
 from ovmot.settings import ObjectSettings
 from ovmot.types import PixelNoise
 
@@ -24,9 +25,9 @@ def views(
     rig: StereoRig, drive: Callable[..., FloatArray], body: Callable[..., FloatArray],
     measure: Callable[..., FloatArray],
 ) -> Callable[..., BodyViews]:  # fmt: skip
-    """Two bodies of 10 points each, seen 0.4 s and 0.2 s ago and now."""
+    """Two bodies of 10 points each, seen 0.4 s and 0.2 s ago and now; the twists to start from."""
 
-    def make(sigma: float, seed: int) -> BodyViews:
+    def make(sigma: float, seed: int, start: FloatArray = TWIST) -> BodyViews:
         rng = np.random.default_rng(seed)
         T = drive(5)
         centre = se3.apply(T[-1], np.array([[15.0, 2.0, 0.0], [22.0, -3.0, 0.5]]))
@@ -44,7 +45,10 @@ def views(
         seen = measure(rig, T, p, sigma, rng)[[0, 2, 4]]
         T_world_cam0 = np.repeat((T @ rig.T_imu_cam0)[[0, 2, 4], None], 2, axis=1)
         span = np.repeat(np.array([[0.4], [0.2], [0.0]]), 2, axis=1)
-        return BodyViews(seen, np.repeat([0, 1], 10), T_world_cam0, span, 10.0 * span, centre)
+        p_cam0 = triangulate_stereo(seen[-1], rig.T_cam1_cam0)
+        return BodyViews(
+            seen, p_cam0, np.repeat([0, 1], 10), T_world_cam0, span, 10.0 * span, centre, start
+        )
 
     return make
 
@@ -53,12 +57,11 @@ def test_without_noise_the_motion_and_the_points_are_exact(
     rig: StereoRig, views: Callable[..., BodyViews]
 ) -> None:
     weak = SETTINGS.model_copy(update={"yaw_rate_sigma_rps": 1e4, "tilt_rate_sigma_rps": 1e4})
-    given = views(0.0, 2)
-    start = TWIST + np.array([0.0, 0.0, 0.1, 0.5, -0.5, 0.2])
-    p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, start, p_cam0 * 1.02, TURN, rig, weak, NOISE)
+    given = views(0.0, 2, TWIST + np.array([0.0, 0.0, 0.1, 0.5, -0.5, 0.2]))
+    off = given._replace(p_cam0=given.p_cam0 * 1.02)
+    refined = refine_bodies(off, TURN, rig, weak, NOISE)
     np.testing.assert_allclose(refined.twist, TWIST, atol=1e-4)
-    p_world = se3.apply(given.T_world_cam0[-1, 0], p_cam0)
+    p_world = se3.apply(given.T_world_cam0[-1, 0], given.p_cam0)
     np.testing.assert_allclose(refined.p_world, p_world, atol=1e-4)
     assert refined.inlier.all()
 
@@ -71,7 +74,7 @@ def test_refined_velocities_beat_stereo_alone_and_know_their_errors(
         given = views(0.3, 10 + seed)
         p = triangulate_stereo(given.seen, rig.T_cam1_cam0)
         weak = SETTINGS.model_copy(update={"yaw_rate_sigma_rps": 5.0, "tilt_rate_sigma_rps": 5.0})
-        refined = refine_bodies(given, TWIST, p[-1], TURN, rig, weak, NOISE)
+        refined = refine_bodies(given, TURN, rig, weak, NOISE)
         e = refined.twist[:, 3:] - TWIST[:, 3:]
         errors.append(np.linalg.norm(e, axis=1))
         nees.append(np.einsum("bi,bij,bj->b", e, np.linalg.inv(refined.covariance[:, 3:, 3:]), e))
@@ -88,10 +91,8 @@ def test_refined_velocities_beat_stereo_alone_and_know_their_errors(
 def test_bodies_that_may_not_turn_keep_to_the_translation(
     rig: StereoRig, views: Callable[..., BodyViews]
 ) -> None:
-    given = views(0.3, 6)
-    start = np.concatenate([np.zeros((2, 3)), TWIST[:, 3:]], axis=1)
-    p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, start, p_cam0, np.array([True, False]), rig, SETTINGS, NOISE)
+    given = views(0.3, 6, np.concatenate([np.zeros((2, 3)), TWIST[:, 3:]], axis=1))
+    refined = refine_bodies(given, np.array([True, False]), rig, SETTINGS, NOISE)
     sigma = np.sqrt(refined.covariance[:, 2, 2])
     assert abs(refined.twist[0, 2] - TWIST[0, 2]) < 0.15
     assert sigma[1] < SETTINGS.tilt_rate_sigma_rps
@@ -101,8 +102,7 @@ def test_bodies_that_may_not_turn_keep_to_the_translation(
 def test_a_wrong_match_is_left_out(rig: StereoRig, views: Callable[..., BodyViews]) -> None:
     given = views(0.3, 3)
     given.seen[0, 4] += np.array([0.05, 0.02, 0.05, 0.02])
-    p_cam0 = triangulate_stereo(given.seen[-1], rig.T_cam1_cam0)
-    refined = refine_bodies(given, TWIST, p_cam0, TURN, rig, SETTINGS, NOISE)
+    refined = refine_bodies(given, TURN, rig, SETTINGS, NOISE)
     assert not refined.inlier[4]
     assert refined.inlier.sum() >= 18
     assert np.linalg.norm(refined.twist[0, 3:] - TWIST[0, 3:]) < 0.6

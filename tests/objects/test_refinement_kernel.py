@@ -1,7 +1,5 @@
 """The compiled normal equations equal their plain NumPy twin, and their derivatives are right."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -10,11 +8,9 @@ from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.refinement_kernel import (
-    Refined,
     WeightedViews,
     reduce_points,
     refine,
-    refine_compiled,
     through_body,
     view_rows,
 )
@@ -118,15 +114,12 @@ def test_points_are_eliminated_as_in_the_twin(seen: tuple[FloatArray, WeightedVi
     np.testing.assert_allclose(out.gradient, gradient, rtol=1e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize("kernel", [refine, refine_compiled])
-def test_the_iterations_are_those_of_the_twin(
-    seen: tuple[FloatArray, WeightedViews], kernel: Callable[..., Refined]
-) -> None:
+def test_the_iterations_are_those_of_the_twin(seen: tuple[FloatArray, WeightedViews]) -> None:
     """Six steps of Gauss-Newton at most, the first two with a wide bound for outliers."""
     start, s = seen
     twist, body = TWIST + 0.05, s.body
     huber, bound, prior = np.full(2 * N, 2.0), np.full(2 * N, 90.0), np.full((2, 6), 0.5)
-    found = kernel(start, twist, s, huber, bound, prior)
+    found = refine(start, twist, s, huber, bound, prior)
     point = start.copy()
     for iteration in range(6):
         wide = iteration < 2

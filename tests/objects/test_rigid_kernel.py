@@ -80,11 +80,11 @@ def test_errors_are_traces_of_the_inverse() -> None:
     """The row of the least error; one that too few of the points saw does not count."""
     rng, index, span = np.random.default_rng(5), np.array([1, 4, 5]), np.array([0.8, 0.4, 0.2, 0.1])
     for accel in (0.0, 20.0):
-        L = rng.normal(0.0, 3.0, (4, 9, 3, 3))
+        L = rng.normal(0.0, 3.0, (9, 4, 3, 3))
         information = L @ np.swapaxes(L, -1, -2)
-        weight = np.tile(np.eye(4), (4, 9, 1, 1))
-        weight[0, [1, 5]] = 0.0
-        inverse = np.linalg.inv(information[:, index].sum(1) + 1e-6 * np.eye(3))
+        weight = np.tile(np.eye(4), (9, 4, 1, 1))
+        weight[[1, 5], 0] = 0.0
+        inverse = np.linalg.inv(information[index].sum(0) + 1e-6 * np.eye(3))
         error = np.trace(inverse, axis1=1, axis2=2) / span**2 + 0.5 * (accel * span) ** 2
         found = best_row(weight, information, index, span, accel)
         assert found == 1 + int(np.argmin(error[1:]))

@@ -1,20 +1,59 @@
-"""Compiled small questions about bodies: distances, the ground below, noise and places of points.
+"""Compiled questions about measured bodies: can it be one, does it move, is it part of another?
 
 tests/objects/test_bodies_kernel.py holds the plain NumPy twins.
 """
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.kernels.small_matrices import cross, squared_mahalanobis
-from ovmot.kernels.sorting import median
+from ovmot.kernels.small_matrices import eigen_symmetric, squared_mahalanobis
+from ovmot.kernels.sorting import median, sort_together
+from ovmot.kernels.stereo import transform
+from ovmot.objects.clustering_kernel import (
+    NEIGHBOUR_RADIUS_M,
+    SPREAD_SHARE,
+    compatible,
+    majority,
+)
+from ovmot.objects.measurement_kernel import MeasuredBodies
 
-_SMALL_ANGLE, _SERIES_ANGLE = 1e-5, 1e-3  # series below them
-_NEAR_PI = math.pi - 1e-4
+_LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
+_STEEPEST = 0.1  # slope of a road
+_GROUND_POINTS = 5  # static points around a body that show the ground
+_FEW = 4  # points that may be a part of a body of another group
+_REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
+
+
+class RoadUser(NamedTuple):
+    """What a body must be: of `min_points`, at `min_speed_mps` or faster.
+
+    A direction in which the velocity is known no better than `max_sigma_mps` does not count. It is
+    at most `highest_m` above the camera, and at least `least_height_m` above the ground that static
+    points within `ground_radius_m` show.
+    """
+
+    min_points: int
+    min_speed_mps: float
+    max_sigma_mps: float
+    highest_m: float
+    least_height_m: float
+    ground_radius_m: float
+
+
+class Grouped(NamedTuple):
+    """`point` (M,): indices of the bodies' points, whose `track_id` (all,) is -1 for none.
+
+    `group` (B,): cluster of each body.
+    """
+
+    point: IntArray
+    track_id: IntArray
+    group: IntArray
 
 
 def velocity_distance(error: FloatArray, covariance: FloatArray, spread: float) -> float:
@@ -25,152 +64,232 @@ def velocity_distance(error: FloatArray, covariance: FloatArray, spread: float) 
     return float(squared_mahalanobis(error, C))
 
 
-def least_distance(p: FloatArray, q: FloatArray) -> float:
-    """The least distance between points (N, 3) and (M, 3)."""
-    least = np.inf
-    for n in range(len(p)):
-        for m in range(len(q)):
-            x, y, z = p[n, 0] - q[m, 0], p[n, 1] - q[m, 1], p[n, 2] - q[m, 2]
-            least = min(least, x * x + y * y + z * z)
-    return math.sqrt(least)
+def can_be_bodies(
+    measured: MeasuredBodies,
+    p_world: FloatArray,
+    p_cam0: FloatArray,
+    is_static: BoolArray,
+    T_world_cam0: FloatArray,
+    user: RoadUser,
+) -> BoolArray:
+    """Which of the measured bodies (B,) are a road user's size and place, and fast enough.
+
+    `p_world` (M, 3): the bodies' points; `p_cam0` (N, 3), `is_static` (N,): the frame's points.
+    """
+    n_bodies, static = len(measured.first), world_points(p_cam0, is_static, T_world_cam0)
+    out = np.empty(n_bodies, np.bool_)
+    for b in range(n_bodies):
+        own = measured.members[measured.first[b] : measured.first[b] + measured.n_members[b]]
+        out[b] = (
+            len(own) >= user.min_points
+            and not is_aloft(measured.middle[b], T_world_cam0, user.highest_m)
+            and is_fast(measured.velocity[b], measured.covariance[b], user)
+            and not height_above_ground(p_world, own, static, user.ground_radius_m)
+            < user.least_height_m
+        )
+    return out
 
 
 @part
-def _ranked(values: FloatArray, n: int, rank: int) -> float:
+def world_points(p_cam0: FloatArray, chosen: BoolArray, T_world_cam0: FloatArray) -> FloatArray:
+    """The chosen ones of points (N, 3) that are known, in the world."""
+    out, count = np.empty((len(p_cam0), 3)), 0
+    for n in range(len(p_cam0)):
+        if chosen[n] and math.isfinite(p_cam0[n, 2]):
+            transform(T_world_cam0, p_cam0[n], out[count])
+            count += 1
+    return out[:count]
+
+
+@part
+def is_aloft(middle: FloatArray, T_world_cam0: FloatArray, highest_m: float) -> bool:
+    """Is a body whose points have this median (3,) higher than road users are?
+
+    Repeated windows that are all matched to their neighbours appear at ρ times their distance, and
+    seem to move at ρ - 1 times the rig's speed, towards it: a rigid motion, but at a wrong height.
+    """
+    x, y = middle[0] - T_world_cam0[0, 3], middle[1] - T_world_cam0[1, 3]
+    above = middle[2] - T_world_cam0[2, 3]
+    return bool(above > highest_m + _STEEPEST * math.sqrt(x * x + y * y))
+
+
+@part
+def known_part(
+    velocity: FloatArray, covariance: FloatArray, max_sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Components (k,) of a velocity (3,) along those principal axes in which it is known to
+    `max_sigma`, and their variances (k,); `covariance` (6, 6) of position and velocity.
+
+    The unknown part of a far body is along the ray, where the errors of patches are not white: they
+    drift together.
+    """
+    values, axes, C, known = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), 0
+    for a in range(3):
+        for c in range(3):
+            C[a, c] = covariance[3 + a, 3 + c]
+    eigen_symmetric(C, values, axes)
+    component = np.empty(3)
+    for k in range(3):
+        if values[k] < max_sigma**2:
+            component[known], values[known] = 0.0, values[k]
+            for a in range(3):
+                component[known] += axes[a, k] * velocity[a]
+            known += 1
+    return component[:known], values[:known]
+
+
+@part
+def is_fast(velocity: FloatArray, covariance: FloatArray, user: RoadUser) -> bool:
+    """Is the known part of a body's velocity (3,) fast enough to be a measurement?
+
+    And greater than what a drift of its patches along their rays, the unknown part, leaves in it.
+    """
+    known, _ = known_part(velocity, covariance, user.max_sigma_mps)
+    known_squared, squared = 0.0, 0.0
+    for k in range(len(known)):
+        known_squared += known[k] ** 2
+    for a in range(3):
+        squared += velocity[a] ** 2
+    leaked = _LEAK**2 * max(squared - known_squared, 0.0)
+    return bool(known_squared > max(user.min_speed_mps**2, leaked))
+
+
+@part
+def height_above_ground(
+    p_world: FloatArray, own: IntArray, static: FloatArray, radius: float
+) -> float:
+    """How far the highest tenth of a body's `own` points begins above the ground; infinite if not
+    known.
+
+    Patches of a road seen at a grazing angle drift together, as a body would. The ground is the
+    height below which a tenth of the static points (M, 3) within `radius` metres of the points'
+    mean are, if there are enough of them.
+    """
+    x, y, n = 0.0, 0.0, 0
+    tops, near = np.empty(len(own)), np.empty(len(static))
+    for k in range(len(own)):
+        x += p_world[own[k], 0] / len(own)
+        y += p_world[own[k], 1] / len(own)
+        tops[k] = p_world[own[k], 2]
+    for k in range(len(static)):
+        if (static[k, 0] - x) ** 2 + (static[k, 1] - y) ** 2 < radius**2:
+            near[n] = static[k, 2]
+            n += 1
+    if n < _GROUND_POINTS:
+        return math.inf
+    top = ranked(tops, len(own), len(own) - 1 - len(own) // 10)
+    return top - ranked(near, n, n // 10)
+
+
+@part
+def ranked(values: FloatArray, n: int, rank: int) -> float:
     """The value of this rank, from 0, among the first n, which are sorted then."""
     median(values, n)
     return float(values[rank])
 
 
-def height_above_ground(
-    p_world: FloatArray, static: FloatArray, radius: float, min_points: int
-) -> float:
-    """How far the highest tenth of points (N, 3) begins above the ground; infinite if not known.
+def distance_from_rest(
+    velocity: FloatArray, covariance: FloatArray, max_sigma: float
+) -> tuple[FloatArray, IntArray]:
+    """Squared Mahalanobis distance of velocities (B, 3) from zero, in the directions in which they
+    are known to `max_sigma`, and their number (B,).
 
-    The ground is the height below which a tenth of the static points (M, 3) within `radius` metres
-    of the points' mean are, if there are `min_points` of them.
+    `covariance` (B, 6, 6): of position and velocity.
     """
-    x, y, n = 0.0, 0.0, 0
-    own, near = np.empty(len(p_world)), np.empty(len(static))
-    for k in range(len(p_world)):
-        x += p_world[k, 0] / len(p_world)
-        y += p_world[k, 1] / len(p_world)
-        own[k] = p_world[k, 2]
-    for k in range(len(static)):
-        if (static[k, 0] - x) ** 2 + (static[k, 1] - y) ** 2 < radius**2:
-            near[n] = static[k, 2]
-            n += 1
-    if n < min_points:
-        return math.inf
-    top = _ranked(own, len(own), len(own) - 1 - len(own) // 10)
-    return top - _ranked(near, n, n // 10)
+    distance, dof = np.zeros(len(velocity)), np.empty(len(velocity), np.int64)
+    for b in range(len(velocity)):
+        known, variance = known_part(velocity[b], covariance[b], max_sigma)
+        dof[b] = len(known)
+        for k in range(len(known)):
+            distance[b] += known[k] ** 2 / variance[k]
+    return distance, dof
 
 
-def view_weights(
-    seen: FloatArray, body: IntArray, track_length: FloatArray, focal: FloatArray, sigma_px: float,
-    drift_per_frame_px: float, drift_per_flow: float,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    """`by_difference` and `by_sum` (V, M) of `weighted_views`, and which views (V, M) exist.
+def without_parts(
+    measured: MeasuredBodies,
+    p_world: FloatArray,
+    moves: BoolArray,
+    points: Grouped,
+    turn_mps: float,
+    velocity_gate: float,
+) -> IntArray:
+    """Those of the bodies that move (B,) which are no part of a larger one, the largest first.
 
-    `seen` (V, M, 4): normalized coordinates, the last view that of now; `track_length` (V, B).
+    A part lies at the larger body and has its velocity, is not another track's, and comes from the
+    same group or has few points.
     """
-    n_views, n_points = seen.shape[:2]
-    by_difference, by_sum = np.zeros((n_views, n_points)), np.zeros((n_views, n_points))
-    valid, now = np.zeros((n_views, n_points), np.bool_), n_views - 1
-    for v in range(n_views):
-        for m in range(n_points):
-            total = seen[v, m, 0] + seen[v, m, 1] + seen[v, m, 2] + seen[v, m, 3]
-            valid[v, m] = math.isfinite(total)
-            if valid[v, m]:
-                du = (seen[v, m, 0] - seen[now, m, 0]) * focal[0]
-                dv = (seen[v, m, 1] - seen[now, m, 1]) * focal[1]
-                flow = math.sqrt(du * du + dv * dv)
-                drift = track_length[v, body[m]] * drift_per_frame_px**2
-                if math.isfinite(flow):
-                    drift += (drift_per_flow * flow) ** 2
-                by_difference[v, m] = math.sqrt(0.5) / sigma_px
-                by_sum[v, m] = math.sqrt(0.5) / math.sqrt(sigma_px**2 + 2.0 * drift)
-    return by_difference, by_sum, valid
+    n, count, n_kept = len(moves), 0, 0
+    order, key, track_id = np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
+    own = np.empty(len(points.point), np.int64)
+    for b in range(n):
+        if moves[b]:  # stable: of one size the first comes first
+            order[count], key[count] = b, b - float(n) * measured.n_members[b]
+            count += 1
+            for k in range(measured.n_members[b]):
+                own[k] = points.point[measured.members[measured.first[b] + k]]
+            track_id[b] = majority(points.track_id, own[: measured.n_members[b]])
+    sort_together(key, order, count)
+    for k in range(count):
+        body, alone = order[k], True
+        for j in range(n_kept):
+            larger = order[j]
+            related = measured.n_members[body] <= _FEW or points.group[body] == points.group[larger]
+            if (
+                related
+                and compatible(track_id[body], track_id[larger])
+                and is_part(measured, p_world, body, larger, turn_mps, velocity_gate)
+            ):
+                alone = False
+                break
+        if alone:
+            order[n_kept] = body
+            n_kept += 1
+    return order[:n_kept]
 
 
-def world_points(
-    point: FloatArray, T_world_cam0: FloatArray, body: IntArray, N_inverse: FloatArray,
-    K: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """World points (M, 3), covariance (M, 3, 3) and derivative by twists (M, 3, 6).
+@part
+def is_part(
+    measured: MeasuredBodies, p_world: FloatArray, body: int, larger: int, turn_mps: float,
+    velocity_gate: float,
+) -> bool:  # fmt: skip
+    """Has a body the velocity of a larger one, and lies at it?
 
-    `point` (M, 3): (x, y, 1/z) in the left camera `T_world_cam0` (B, 4, 4) of its `body` (M,), with
-    covariance `N_inverse` (M, 3, 3); minus `K` (M, 6, 3), transposed, is its derivative.
+    To the covariance of the difference comes the spread of velocities in a turning body.
     """
-    n = len(point)
-    p, C, by_twist = np.empty((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 6))
-    J, JN = np.empty((3, 3)), np.empty((3, 3))
-    for m in range(n):
-        T, z = T_world_cam0[body[m]], 1.0 / point[m, 2]
-        for a in range(3):
-            ray = T[a, 0] * point[m, 0] + T[a, 1] * point[m, 1] + T[a, 2]
-            p[m, a] = ray * z + T[a, 3]
-            J[a, 0], J[a, 1], J[a, 2] = T[a, 0] * z, T[a, 1] * z, -ray * z * z
-        for a in range(3):
-            for b in range(3):
-                JN[a, b] = 0.0
-                for c in range(3):
-                    JN[a, b] += J[a, c] * N_inverse[m, c, b]
-            for b in range(6):
-                for c in range(3):
-                    by_twist[m, a, b] -= J[a, c] * K[m, b, c]
-        for a in range(3):
-            for b in range(3):
-                for c in range(3):
-                    C[m, a, b] += JN[a, c] * J[b, c]
-    return p, C, by_twist
+    v, speed, dv = measured.velocity, 0.0, np.empty(3)
+    of_place, of_velocity = np.empty((3, 3)), np.empty((3, 3))
+    both = measured.covariance
+    for a in range(3):
+        speed += v[larger, a] ** 2
+        dv[a] = v[larger, a] - v[body, a]
+        for c in range(3):
+            of_place[a, c] = both[body, a, c] + both[larger, a, c]
+            of_velocity[a, c] = both[body, 3 + a, 3 + c] + both[larger, 3 + a, 3 + c]
+    for a in range(3):
+        of_velocity[a, a] += (turn_mps + SPREAD_SHARE * math.sqrt(speed)) ** 2
+    if not squared_mahalanobis(dv, of_velocity) < velocity_gate:
+        return False
+    values, axes = np.empty(3), np.empty((3, 3))
+    eigen_symmetric(of_place, values, axes)
+    reach = NEIGHBOUR_RADIUS_M + _REACH_SIGMAS * math.sqrt(values[2])
+    return bool(least_distance(measured, p_world, body, larger) < reach)
 
 
-def twists_about(
-    T_now_then: FloatArray, T_world_cam0: FloatArray, origin: FloatArray, span_s: FloatArray
-) -> FloatArray:
-    """Twists (B, 6), (ω, v), in world axes about origins (B, 3), m, over spans (B,), s.
-
-    `T_now_then` (B, 4, 4): motions in the left camera `T_world_cam0` (4, 4). The logarithm of
-    `geometry.se3`; NaN for a rotation near half a turn, where its antisymmetric part vanishes.
-    """
-    out, M, R, t = np.empty((len(origin), 6)), np.empty((3, 4)), np.empty((3, 3)), np.empty(3)
-    T = T_world_cam0
-    for b in range(len(origin)):
-        for i in range(3):
-            for j in range(4):
-                M[i, j] = T[i, 3] if j == 3 else 0.0
-                for k in range(3):
-                    M[i, j] += T[i, k] * T_now_then[b, k, j]
-        for i in range(3):
-            for j in range(3):
-                R[i, j] = M[i, 0] * T[j, 0] + M[i, 1] * T[j, 1] + M[i, 2] * T[j, 2]
-        for i in range(3):
-            t[i] = M[i, 3] - origin[b, i]
-            for j in range(3):
-                t[i] += R[i, j] * (origin[b, j] - T[j, 3])
-        x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-        sine = 0.5 * math.sqrt(x * x + y * y + z * z)
-        angle = math.atan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
-        scale = 0.5 * (1.0 + angle * angle / 6.0 if angle < _SMALL_ANGLE else angle / sine)
-        if angle > _NEAR_PI:
-            scale = math.nan
-        w = (scale * x, scale * y, scale * z)
-        d = 1.0 / 12.0 + angle * angle / 720.0
-        if angle >= _SERIES_ANGLE:
-            d = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / (angle * angle)
-        once = cross(w, (t[0], t[1], t[2]))
-        twice = cross(w, once)
-        for i in range(3):
-            out[b, i] = w[i] / span_s[b]
-            out[b, 3 + i] = (t[i] - 0.5 * once[i] + d * twice[i]) / span_s[b]
-    return out
+@part
+def least_distance(measured: MeasuredBodies, p: FloatArray, body: int, other: int) -> float:
+    """The least distance between points of two bodies, of all points (M, 3)."""
+    least = np.inf
+    for i in range(measured.n_members[body]):
+        n = measured.members[measured.first[body] + i]
+        for j in range(measured.n_members[other]):
+            m = measured.members[measured.first[other] + j]
+            x, y, z = p[n, 0] - p[m, 0], p[n, 1] - p[m, 1], p[n, 2] - p[m, 2]
+            least = min(least, x * x + y * y + z * z)
+    return math.sqrt(least)
 
 
 _FOLDER = code_folder(Path(__file__))
 velocity_distance_compiled = compiled(velocity_distance, _FOLDER)
-least_distance_compiled = compiled(least_distance, _FOLDER)
-height_above_ground_compiled = compiled(height_above_ground, _FOLDER)
-view_weights_compiled = compiled(view_weights, _FOLDER)
-twists_about_compiled = compiled(twists_about, _FOLDER)
-world_points_compiled = compiled(world_points, _FOLDER)
+can_be_bodies_compiled = compiled(can_be_bodies, _FOLDER)
+distance_from_rest_compiled = compiled(distance_from_rest, _FOLDER)
+without_parts_compiled = compiled(without_parts, _FOLDER)

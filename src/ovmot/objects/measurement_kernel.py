@@ -11,7 +11,6 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.kernels.small_matrices import eigen_symmetric
 from ovmot.kernels.sorting import median
 from ovmot.objects.refinement_kernel import through_body
 
@@ -40,11 +39,13 @@ class BodyTwists(NamedTuple):
 class MeasuredBodies(NamedTuple):
     """Measurements of B bodies, as `ObjectMeasurement` has them; not filled where points are few.
 
-    `members` (K,): the inliers of all bodies, one after the other, `n_members` (B,). `middle`
-    (B, 3): medians of their points. `yaw_rate_variance` (B,): the ego poses' part of it.
+    `members` (K,): the inliers of all bodies, one after the other: `n_members` (B,) of each, from
+    the `first` (B,) on. `middle` (B, 3): medians of their points. `yaw_rate_variance` (B,): the ego
+    poses' part of it.
     """
 
     members: IntArray
+    first: IntArray
     n_members: IntArray
     position: FloatArray
     middle: FloatArray
@@ -71,12 +72,13 @@ def measure_bodies(
     """
     n = len(bodies.twist)
     out = MeasuredBodies(
-        np.empty(len(points.body), np.int64), np.zeros(n, np.int64), np.zeros((n, 3)),
-        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 4, 4)),
-        np.zeros((n, 6, 6)), np.zeros((n, 6, 6)), np.zeros(n),
+        np.empty(len(points.body), np.int64), np.empty(n, np.int64), np.zeros(n, np.int64),
+        np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)),
+        np.zeros((n, 4, 4)), np.zeros((n, 6, 6)), np.zeros((n, 6, 6)), np.zeros(n),
     )  # fmt: skip
     J, ego, values, start = np.zeros((6, 6)), np.zeros((7, 7)), np.empty(len(points.body)), 0
     for b in range(n):
+        out.first[b] = start
         for k in range(len(points.body)):
             if points.body[k] == b and points.inlier[k]:
                 out.members[start + out.n_members[b]] = k
@@ -224,27 +226,4 @@ def by_pose(T: FloatArray, p: FloatArray, rate: float, first: int, J: FloatArray
         J[6, first + a] = rate * T[2, a]
 
 
-def known_part(
-    velocity: FloatArray, covariance: FloatArray, max_sigma: float
-) -> tuple[FloatArray, FloatArray]:
-    """Components (k,) of a velocity (3,) along those principal axes of its covariance (3, 3) in
-    which it is known to `max_sigma`, and their variances (k,).
-
-    The unknown part of a far body is along the ray, where the errors of patches are not white: they
-    drift together.
-    """
-    values, axes, known = np.empty(3), np.empty((3, 3)), 0
-    eigen_symmetric(covariance, values, axes)
-    component = np.empty(3)
-    for k in range(3):
-        if values[k] < max_sigma**2:
-            component[known], values[known] = 0.0, values[k]
-            for a in range(3):
-                component[known] += axes[a, k] * velocity[a]
-            known += 1
-    return component[:known], values[:known]
-
-
-_FOLDER = code_folder(Path(__file__))
-measure_bodies_compiled = compiled(measure_bodies, _FOLDER)
-known_part_compiled = compiled(known_part, _FOLDER)
+measure_bodies_compiled = compiled(measure_bodies, code_folder(Path(__file__)))

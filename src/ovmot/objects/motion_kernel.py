@@ -32,7 +32,7 @@ class MovingPoints(NamedTuple):
     """M points that one velocity explains and that do not seem static, of L earlier frames.
 
     `point` (M,): indices among all points; `velocity` (M, 3) with `velocity_cov` (M, 3, 3);
-    `predicted` (L, M, 3), `weight` (L, M, 4, 4), `information` (L, M, 3, 3): as `MotionHistory`.
+    `predicted` (M, L, 3), `weight` (M, L, 4, 4), `information` (M, L, 3, 3): as `MotionHistory`.
     """
 
     point: IntArray
@@ -41,6 +41,19 @@ class MovingPoints(NamedTuple):
     predicted: FloatArray
     weight: FloatArray
     information: FloatArray
+
+
+class Limits(NamedTuple):
+    """Which points are looked at: within `max_range_m`, at most `max_points`.
+
+    `hint`: squared sigmas from rest that make one worth a closer look; `points_per_track`: of one
+    track at most about as many.
+    """
+
+    max_range_m: float
+    hint: float
+    max_points: int
+    points_per_track: int
 
 
 class Rows(NamedTuple):
@@ -62,20 +75,22 @@ def points_to_look_at(
     cov_now: FloatArray,
     T_now_then: FloatArray,
     seems_static: BoolArray,
-    max_range: float,
-    hint: float,
-) -> tuple[IntArray, IntArray]:
-    """Points (C,) within range that do not seem static, or are beyond `hint` from rest.
+    pixels: FloatArray,
+    track_id: IntArray,
+    limits: Limits,
+) -> IntArray:
+    """Points (C,) within range that do not seem static, or are beyond the hint from rest.
 
-    Also in how many earlier frames each was seen, (C,); in one at least. The squared distance is
-    roughly that of Mahalanobis since the oldest frame: axes apart and with the present covariance
-    for both times, quick, to spare most points the full comparison.
+    Each was seen in one earlier frame at least. The squared distance is roughly that of Mahalanobis
+    since the oldest frame: axes apart and with the present covariance for both times, quick, to
+    spare most points the full comparison. Where there are too many, `pixels` (N, 4) and `track_id`
+    (N,) tell which, see `thin_out_tracks`, and of all those the ones seen longest.
     """
     n_rows, n_points = pairs.p_then.shape[:2]
     index, known = np.empty(n_points, np.int64), np.empty(n_points, np.int64)
     count, q = 0, np.empty(3)
     for n in range(n_points):
-        if not pairs.p_now[n, 2] < max_range:
+        if not pairs.p_now[n, 2] < limits.max_range_m:
             continue
         rows, distance = 0, 0.0
         for row in range(n_rows):
@@ -86,10 +101,67 @@ def points_to_look_at(
                         off = q[a] - pairs.p_now[n, a]
                         distance += off * off / (2.0 * cov_now[n, a, a])
                 rows += 1
-        if rows > 0 and (distance > hint or not seems_static[n]):
+        if rows > 0 and (distance > limits.hint or not seems_static[n]):
             index[count], known[count] = n, rows
             count += 1
-    return index[:count], known[:count]
+    count = thin_out_tracks(index, known, count, pixels, track_id, limits.points_per_track)
+    count = longest_seen(index, known, count, n_rows, limits.max_points)
+    return index[:count]
+
+
+@part
+def thin_out_tracks(
+    index: IntArray, known: IntArray, count: int, pixels: FloatArray, track_id: IntArray, most: int
+) -> int:
+    """How many of the first points are kept, moved to the front in their order.
+
+    Of a track's points that were `known` in more than one row as many as tell enough, from all over
+    it, or a large body would leave none for the others.
+    """
+    dropped, own = np.zeros(count, np.bool_), np.empty(count, np.int64)
+    looked_up = np.zeros(count, np.bool_)
+    for first in range(count):
+        track, n = track_id[index[first]], 0
+        if track < 0 or looked_up[first]:
+            continue
+        for k in range(first, count):
+            if track_id[index[k]] == track:
+                looked_up[k] = True
+                if known[k] > 1:
+                    own[n] = k
+                    n += 1
+        if n > most:
+            for k in own[:n]:
+                rank, u = 0, pixels[index[k], 0]
+                for j in own[:n]:
+                    off = pixels[index[j], 0] - u
+                    rank += off < 0.0 or (off == 0.0 and j < k)
+                dropped[k] = rank % ((n + most - 1) // most) > 0
+    kept = 0
+    for k in range(count):
+        if not dropped[k]:
+            index[kept], known[kept] = index[k], known[k]
+            kept += 1
+    return kept
+
+
+@part
+def longest_seen(index: IntArray, known: IntArray, count: int, n_rows: int, most: int) -> int:
+    """How many of the first points are kept: at most so many, in order, those `known` in most rows.
+
+    Of those known in equally many the first ones are kept.
+    """
+    left, kept = most, 0
+    for rows in range(n_rows, 0, -1):
+        for k in range(count):
+            if known[k] == rows:
+                known[k] = -rows if left > 0 else 0
+                left -= 1
+    for k in range(count):
+        if known[k] < 0:
+            index[kept] = index[k]
+            kept += 1
+    return kept
 
 
 def moving_points(
@@ -97,7 +169,7 @@ def moving_points(
     ego: EgoMotion,
     noise: StereoNoise,
     candidate: IntArray,
-    has_track: BoolArray,
+    track_id: IntArray,
     n_old: int,
     accel_mps2: float,
     bound: FloatArray,
@@ -106,7 +178,7 @@ def moving_points(
     """Those of the candidates (C,) that one velocity explains, and that are not static by it.
 
     The cost of the velocity is below `bound` (L + 1,), by the number of rows, and its squared
-    Mahalanobis distance from rest above `moves`. Points of tracks, `has_track` (C,), may move by
+    Mahalanobis distance from rest above `moves`. Points of tracks, by `track_id` (N,), may move by
     their last rows alone, without the `n_old` first ones: a car that brakes was faster before.
     """
     n_rows, n = len(ego.span_s), len(candidate)
@@ -120,7 +192,7 @@ def moving_points(
         compare_rows(pairs, ego, noise, candidate[k], s, rows, p)
         for step in range(3):  # all rows; the last ones; the weights of those that were used
             if step == 1:
-                if steady or not has_track[k]:
+                if steady or track_id[candidate[k]] < 0:
                     continue
                 first = n_old
             if step == 2 and not (steady and squared_mahalanobis(v, C) > moves):
@@ -136,28 +208,10 @@ def moving_points(
             else:
                 point[count] = candidate[k]
                 count += 1
-    out = MovingPoints(
-        point[:count], velocity[:count], velocity_cov[:count], np.empty((n_rows, count, 3)),
-        np.empty((n_rows, count, 4, 4)), np.empty((n_rows, count, 3, 3)),
+    return MovingPoints(
+        point[:count], velocity[:count], velocity_cov[:count], predicted[:count], weight[:count],
+        information[:count],
     )  # fmt: skip
-    put_by_row(predicted, weight, information, out)
-    return out
-
-
-@inlined_part
-def put_by_row(
-    predicted: FloatArray, weight: FloatArray, information: FloatArray, out: MovingPoints
-) -> None:
-    """Put what was found point by point, (M, L, ...), into the arrays (L, M, ...)."""
-    for row in range(len(out.weight)):
-        for k in range(len(out.point)):
-            for a in range(4):
-                for b in range(4):
-                    out.weight[row, k, a, b] = weight[k, row, a, b]
-                    if a < 3 and b < 3:
-                        out.information[row, k, a, b] = information[k, row, a, b]
-                if a < 3:
-                    out.predicted[row, k, a] = predicted[k, row, a]
 
 
 @part
@@ -218,37 +272,44 @@ def add_row(
             if j < 3:
                 s.D[i, j] = rows.D[row, i, j]
     if step == 2:
-        identity_rows(s)
+        whiten(s.S, s.rows, 0)
+        weigh(s, weight[row], information[row])
     else:
         widen(s.S, s.D, (0.5 * accel_mps2 * span_s**2) ** 2)
         motion_rows(span_s, s)
-    whiten(s.S, s.rows, s.rows.shape[1])
-    if step == 2:
-        weigh(s, weight[row], information[row])
-    else:
+        whiten(s.S, s.rows, s.rows.shape[1])
         add_products(s.rows, s.products)
 
 
 @inlined_part
-def identity_rows(s: Scratch) -> None:
-    """The rows (4, 4) that whitening turns into L⁻¹."""
-    for i in range(4):
-        for j in range(4):
-            s.rows[i, j] = 1.0 if i == j else 0.0
-
-
-@inlined_part
 def weigh(s: Scratch, weight: FloatArray, information: FloatArray) -> None:
-    """The weight S⁻¹ = L⁻ᵀ L⁻¹ of the whitened rows L⁻¹, and the information Dᵀ S⁻¹ D."""
-    add_products(s.rows, weight)
-    for i in range(4):
-        for a in range(3):
-            WD = (
+    """The weight S⁻¹ = L⁻ᵀ L⁻¹ of a row, by the factor L in S, and the information Dᵀ S⁻¹ D.
+
+    L⁻¹, lower triangular as L is, is put into `rows`.
+    """
+    for c in range(4):
+        s.rows[c, c] = s.S[c, c]
+        for i in range(c + 1, 4):
+            total = 0.0
+            for k in range(c, i):
+                total -= s.S[i, k] * s.rows[k, c]
+            s.rows[i, c] = total * s.S[i, i]
+    for a in range(4):
+        for b in range(a + 1):
+            total = 0.0
+            for i in range(a, 4):
+                total += s.rows[i, a] * s.rows[i, b]
+            weight[a, b] = weight[b, a] = total
+    for a in range(3):
+        for i in range(4):
+            s.residual[i] = (
                 weight[i, 0] * s.D[0, a] + weight[i, 1] * s.D[1, a]
                 + weight[i, 2] * s.D[2, a] + weight[i, 3] * s.D[3, a]
             )  # fmt: skip
-            for b in range(3):
-                information[a, b] += WD * s.D[i, b]
+        for b in range(a + 1):
+            total = s.residual[0] * s.D[0, b] + s.residual[1] * s.D[1, b]
+            total += s.residual[2] * s.D[2, b] + s.residual[3] * s.D[3, b]
+            information[a, b] = information[b, a] = total
 
 
 _FOLDER = code_folder(Path(__file__))

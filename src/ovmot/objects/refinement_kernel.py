@@ -1,16 +1,15 @@
-"""The compiled normal equations of the refinement, with the points eliminated.
+"""The normal equations of the refinement, with the points eliminated, as kernels call them.
 
 tests/objects/test_refinement_kernel.py holds its plain NumPy twin.
 """
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
+from ovmot.kernels.cache import inlined_part, part
 from ovmot.kernels.small_matrices import cross, invert_symmetric, solve_positive
 
 _ITERATIONS = 6
@@ -76,6 +75,7 @@ class Reduced(NamedTuple):
     K: FloatArray
 
 
+@part
 def refine(
     point: FloatArray,
     twist: FloatArray,
@@ -305,6 +305,3 @@ def view_rows(
             left, right = left * f[i], right * f[2 + i]
             rows[i, c] = (left - right) * minus
             rows[2 + i, c] = (left + right) * plus
-
-
-refine_compiled = compiled(refine, code_folder(Path(__file__)))

@@ -113,7 +113,7 @@ def extract_motions(
             row = best_row(points.weight, points.information, remaining[:n], points.span_s, 0.0)
             m = 0
             for k in range(n):
-                if points.weight[row, remaining[k], 0, 0] > 0.0:
+                if points.weight[remaining[k], row, 0, 0] > 0.0:
                     of_row[m] = remaining[k]
                     m += 1
             if m < least:
@@ -166,13 +166,13 @@ def best_row(
 
     The part of the points' noise falls with the span and with their number; that of an acceleration
     of standard deviation `accel_mps2` grows with the span. The displacement's error is the trace of
-    the inverse of the summed `information` (L, M, 3, 3); a point is seen in a row where its
-    `weight` (L, M, 4, 4) is not zero.
+    the inverse of the summed `information` (M, L, 3, 3); a point is seen in a row where its
+    `weight` (M, L, 4, 4) is not zero.
     """
     count, most = np.zeros(len(span_s), np.int64), 0
     for row in range(len(span_s)):
         for n in index:
-            count[row] += weight[row, n, 0, 0] > 0.0
+            count[row] += weight[n, row, 0, 0] > 0.0
         most = max(most, count[row])
     best, least, total = 0, np.inf, np.empty((3, 3))
     for row in range(len(span_s)):
@@ -182,7 +182,7 @@ def best_row(
         for n in index:
             for a in range(3):
                 for b in range(3):
-                    total[a, b] += information[row, n, a, b]
+                    total[a, b] += information[n, row, a, b]
         A = total[1, 1] * total[2, 2] - total[1, 2] * total[2, 1]
         B = total[1, 2] * total[2, 0] - total[1, 0] * total[2, 2]
         C = total[1, 0] * total[2, 1] - total[1, 1] * total[2, 0]
@@ -206,11 +206,11 @@ def sample_of(points: SeenPoints, index: IntArray, row: int) -> Sample:
         m = index[k]
         s.sigma[k] = math.sqrt(points.cov[m, 2, 2])
         for a in range(3):
-            s.p[k, a], s.q[k, a] = points.predicted[row, m, a], points.p[m, a]
+            s.p[k, a], s.q[k, a] = points.predicted[m, row, a], points.p[m, a]
         for a in range(4):
             s.seen[k, a] = points.now[m, a]
             for b in range(4):
-                s.weight[k, a, b] = points.weight[row, m, a, b]
+                s.weight[k, a, b] = points.weight[m, row, a, b]
     return s
 
 

@@ -20,8 +20,8 @@ def extract_motions(
 ) -> Motions:
     """The motions in clusters, `index` (K,) and `size` (G,), in the order they are found."""
     seen = SeenPoints(
-        points.predicted, points.p_cam0, points.cov_cam0, points.history.now, points.weight,
-        points.information, points.history.span_s,
+        points.predicted, points.p_cam0, points.cov_cam0, points.history.now[points.index],
+        points.weight, points.information, points.history.span_s,
     )  # fmt: skip
     # a rotation has three more unknowns, and must explain that much more
     tolerance = Tolerance(

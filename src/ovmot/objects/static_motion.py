@@ -1,4 +1,4 @@
-"""Is a body at rest? A test by the velocity's covariance, and one by fixed thresholds."""
+"""Which bodies are at rest? A test by the velocity's covariance, and one by fixed thresholds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,85 +7,84 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import project_stereo
-from ovmot.objects.measurement_kernel import known_part_compiled
-from ovmot.physics import gate
+from ovmot.objects.bodies_kernel import distance_from_rest_compiled
+from ovmot.objects.measurement_kernel import MeasuredBodies
+from ovmot.physics import gates
 from ovmot.settings import ObjectSettings, SegmentationSettings
 
 
 @dataclass(frozen=True, slots=True)
-class FoundMotion:
-    """A body's `velocity` (3,) in m/s with covariance (3, 3), and its N points `p_world` (N, 3).
+class FoundMotions:
+    """B bodies as `measured`, M points `p_world` (M, 3) of them, and the left camera's pose now."""
 
-    `T_now_before` (4, 4): its motion, p_now = T p_before, and `T_cam0_world` (4, 4) of the present
-    left camera.
-    """
-
-    velocity: FloatArray
-    covariance: FloatArray
+    measured: MeasuredBodies
     p_world: FloatArray
-    T_now_before: FloatArray
-    T_cam0_world: FloatArray
-
-    @property
-    def moved(self) -> FloatArray:
-        """Where the points (N, 3) are, in the present left camera."""
-        return se3.apply(self.T_cam0_world, self.p_world)
-
-    @property
-    def at_rest(self) -> FloatArray:
-        """Where they would be (N, 3), had they stayed where they were."""
-        return se3.apply(self.T_cam0_world @ se3.inverse(self.T_now_before), self.p_world)
+    T_world_cam0: FloatArray
 
 
-StaticTest = Callable[[FoundMotion, StereoRig, ObjectSettings, SegmentationSettings], bool]
+StaticTest = Callable[[FoundMotions, StereoRig, ObjectSettings, SegmentationSettings], BoolArray]
 
 MAX_SIGMA_MPS = 1.5
 """A direction in which a velocity is known no better than this, a walking pace, does not count."""
 
 
-def is_static_by_covariance(
-    motion: FoundMotion,
+def static_by_covariance(
+    motions: FoundMotions,
     rig: StereoRig,
     settings: ObjectSettings,
     of_points: SegmentationSettings,
-) -> bool:
-    """Chi-squared test of no velocity, in the directions in which it is known.
+) -> BoolArray:
+    """Chi-squared test (B,) of no velocity, in the directions in which it is known.
 
     The covariance holds the points' and the poses' part.
     """
-    v, variance = known_part_compiled(motion.velocity, motion.covariance, MAX_SIGMA_MPS)
-    if len(v) == 0:
-        return True
-    return float((v**2 / variance).sum()) < gate(len(v), 1.0 - of_points.false_alarm)
+    measured = motions.measured
+    distance, dof = distance_from_rest_compiled(
+        measured.velocity, measured.covariance, MAX_SIGMA_MPS
+    )
+    bounds = gates(3, 1.0 - of_points.false_alarm)
+    return np.asarray((distance < bounds[dof]) | (dof == 0))
 
 
-def is_static_by_thresholds(
-    motion: FoundMotion,
+def static_by_thresholds(
+    motions: FoundMotions,
     rig: StereoRig,
     settings: ObjectSettings,
     of_points: SegmentationSettings,
-) -> bool:
+) -> BoolArray:
     """Mean displacement below α + β/N metres, or below γ/mean depth + δ/N pixels in the image.
 
     The depth component is weighted down; of both cameras the worse one counts.
     """
-    moved, at_rest, n = motion.moved, motion.at_rest, len(motion.p_world)
+    measured, T_cam0_world = motions.measured, se3.inverse(motions.T_world_cam0)
+    n_bodies = len(measured.n_members)
+    body = np.repeat(np.arange(n_bodies), measured.n_members)
+    n = np.maximum(measured.n_members, 1)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(body, values, n_bodies) / n)
+
+    p_world = motions.p_world[measured.members[: len(body)]]
+    moved = se3.apply(T_cam0_world, p_world)
+    back = T_cam0_world @ se3.inverse(measured.T_now_before)
+    at_rest = se3.apply(back[body], p_world)
     weights = np.array([1.0, 1.0, of_points.depth_weight])
-    distance = np.linalg.norm((moved - at_rest) * weights, axis=1).mean()
+    distance = mean(np.linalg.norm((moved - at_rest) * weights, axis=1))
     focal = np.array([rig.cam0.fx, rig.cam0.fy, rig.cam1.fx, rig.cam1.fy])
     h_moved, _ = project_stereo(moved, rig.T_cam1_cam0)
     h_rest, _ = project_stereo(at_rest, rig.T_cam1_cam0)
     off = (h_moved - h_rest) * focal
-    pixels = np.maximum(np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])).mean()
-    depth = float(moved[:, 2].mean())
+    pixels = mean(np.maximum(np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])))
     near = distance < settings.alpha_m + settings.beta_m / n
-    near_in_image = pixels < settings.gamma_px_m / depth + settings.delta_px / n
-    return bool(near or near_in_image)
+    depth = mean(moved[:, 2])
+    with np.errstate(divide="ignore"):  # a body without points
+        near_in_image = pixels < settings.gamma_px_m / depth + settings.delta_px / n
+    return np.asarray(near | near_in_image)
 
 
 STATIC_TESTS: dict[str, StaticTest] = {
-    "covariance": is_static_by_covariance,
-    "fixed": is_static_by_thresholds,
+    "covariance": static_by_covariance,
+    "fixed": static_by_thresholds,
 }
