@@ -157,8 +157,8 @@ def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
 
 
 def _with_row(views: FloatArray, seen: FloatArray, column: IntArray, n_new: int) -> FloatArray:
-    """Views (T, F, 4) with `n_new` columns and one row more, which has those seen (N, 4) in `column`
-    (N,); NaN elsewhere."""
+    """Views (T, F, 4) with `n_new` more columns, NaN, and one more row: those seen (N, 4) in
+    `column` (N,), NaN elsewhere."""
     n_rows, n_old = views.shape[:2]
     out = np.empty((n_rows + 1, n_old + n_new, 4))
     out[:-1, :n_old], out[:-1, n_old:], out[-1] = views, np.nan, np.nan
