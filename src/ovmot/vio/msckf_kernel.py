@@ -42,6 +42,7 @@ def _point_basis(rows: FloatArray, Q: FloatArray, R: FloatArray) -> None:
     orthonormalize_rows(Q)
     for a in range(_POINT):
         for j in range(a, _POINT):
+            R[a, j] = 0.0
             for i in range(m):
                 R[a, j] += Q[a, i] * rows[i, j]
 
@@ -178,13 +179,23 @@ def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @reordered_part
 def _measure(
-    rows: FloatArray, clone: IntArray, m: int, P: FloatArray, R: FloatArray, E: FloatArray
-) -> float:
-    """A feature's distance by its m > 3 rows; R (3, 3) and E (3, n + 1), the point's rows."""
+    rows: FloatArray, clone: IntArray, m: int, P: FloatArray, enough: float, R: FloatArray,
+    E: FloatArray,
+) -> float:  # fmt: skip
+    """A feature's distance by its m > 3 rows; R (3, 3) and E (3, n + 1), the point's rows.
+
+    The innovation's covariance is the noise I and more, so the squared length of the projected
+    innovation is a bound of the distance. A bound up to `enough` is given in place of it.
+    """
     Q = np.empty((_POINT, m))
     _point_basis(rows, Q, R)
     _rows_in_basis(rows, clone, m, Q, E)
-    return _projected_distance(rows, clone, m, Q, P)
+    bound = 0.0
+    for i in range(m):
+        bound += rows[i, 9] * rows[i, 9]
+    for a in range(_POINT):
+        bound -= E[a, -1] * E[a, -1]
+    return bound if bound <= enough else _projected_distance(rows, clone, m, Q, P)
 
 
 @reordered_part
@@ -250,8 +261,9 @@ def update_by_features(
             lens, cameras, sigma, rows[f], clone[f],
         )  # fmt: skip
         count[f], dof = m, m - _POINT
-        if dof > 0:
-            distance = _measure(rows[f], clone[f], m, window, R[f], E[f])
+        if dof > 0:  # up to the degrees of freedom all have weight 1
+            enough = min(float(dof), bounds[dof])
+            distance = _measure(rows[f], clone[f], m, window, enough, R[f], E[f])
             if distance < bounds[dof]:
                 ratio[f] = math.sqrt(distance / dof)
     candidates = nearest_first(ratio, order)
@@ -264,6 +276,12 @@ def update_by_features(
         innovation(P, H, first, HP, S)
         if update_if_consistent(P, HP, S, residual, velocity_bound, error, updated):
             return weight, error, updated, R, E
+        if kept == candidates:  # which are the nearest half? Bounds do not tell
+            for k in range(candidates):
+                f, m = order[k], count[order[k]]
+                distance = _measure(rows[f], clone[f], m, window, -1.0, R[f], E[f])
+                ratio[f] = math.sqrt(distance / (m - _POINT))
+            nearest_first(ratio, order)
         kept //= 2
     weight[:] = 0.0
     return weight, error, P, R, E
