@@ -62,7 +62,7 @@ def landmark_rows(
 
     `p_now`, `p_first`, `by_value`, `by_anchor`, `anchor`: see `LandmarkPoints`; `by_value` and
     `by_anchor` by the first estimates. `pixels` (L, 1, 4), `by_calibration` (L, 1, 4, C); `T_now`,
-    `T_first` (1, 4, 4): T_imu_world of the newest clone; `size` s: coordinates of a landmark, the
+    `T_first` (1, 4, 4): T_world_imu of the newest clone; `size` s: coordinates of a landmark, the
     others are projected out. H is over the calibration, the clones and the landmarks.
     """
     n_landmarks, n_calibration = len(pixels), by_calibration.shape[3]

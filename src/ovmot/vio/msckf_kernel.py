@@ -236,7 +236,7 @@ def update_by_features(
     """One update by all features that are consistent: weight, error, covariance, R, E.
 
     `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
-    (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_imu_world of the clones, by
+    (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_world_imu of the clones, by
     latest and first estimates; `T_cam_imu` (2, 4, 4); `lens`, `cameras`: see `packed_cameras`; `P`
     (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
     gate of a feature's distance by its degrees of freedom.
