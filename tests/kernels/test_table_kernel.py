@@ -7,9 +7,11 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.table_kernel import (
     available_views_compiled,
     columns_of_compiled,
+    count_still_compiled,
     gather_views_compiled,
     live_columns_compiled,
 )
+from ovmot.types import tracked_pixels
 
 T, F = 6, 40
 
@@ -63,3 +65,14 @@ def test_columns_live_while_they_are_seen_or_fresh() -> None:
     expected = seen[-1] | (seen & ~used[row] & ~dynamic).any(axis=0)
     np.testing.assert_array_equal(live_columns_compiled(pixels, used, dynamic, row), expected)
     assert 0.2 < expected.mean() < 0.95
+
+
+def test_features_that_keep_their_place_are_counted() -> None:
+    pixels, _, _ = arrays(np.random.default_rng(6))
+    earlier, now = pixels[0], pixels[0] + np.random.default_rng(7).normal(0.0, 0.5, (F, 4))
+    now[::5] = np.nan
+    column = np.arange(3, F)
+    way = np.linalg.norm(tracked_pixels(now) - tracked_pixels(earlier), axis=1)[column]
+    n_both, n_still = count_still_compiled(earlier, now, column, 0.6)
+    assert (n_both, n_still) == (np.isfinite(way).sum(), (way < 0.6).sum())
+    assert 5 < n_still < n_both < len(column)

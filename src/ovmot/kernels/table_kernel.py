@@ -1,4 +1,4 @@
-"""Compiled work on the arrays of the feature table: find, choose, gather.
+"""Compiled work on the arrays of the feature table: find, choose, gather, count.
 
 tests/kernels/test_table_kernel.py holds the plain NumPy twins.
 """
@@ -97,8 +97,26 @@ def live_columns(
     return out
 
 
+def count_still(
+    earlier: FloatArray, now: FloatArray, column: IntArray, max_pixels: float
+) -> tuple[int, int]:
+    """How many features of some columns (n,) two rows see, and how many moved less than a bound.
+
+    `earlier`, `now` (F, 4): pixels, NaN where unseen; compared are those of `types.tracked_pixels`.
+    """
+    n_both, n_still = 0, 0
+    for n in range(len(column)):
+        a, b = earlier[column[n]], now[column[n]]
+        i, j = 2 if math.isnan(a[0]) else 0, 2 if math.isnan(b[0]) else 0
+        way = math.hypot(b[j] - a[i], b[j + 1] - a[i + 1])
+        n_both += math.isfinite(way)
+        n_still += way < max_pixels
+    return n_both, n_still
+
+
 _FOLDER = code_folder(Path(__file__))
 columns_of_compiled = compiled(columns_of, _FOLDER)
 live_columns_compiled = compiled(live_columns, _FOLDER)
 available_views_compiled = compiled(available_views, _FOLDER)
 gather_views_compiled = compiled(gather_views, _FOLDER)
+count_still_compiled = compiled(count_still, _FOLDER)
