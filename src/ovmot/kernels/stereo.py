@@ -17,14 +17,6 @@ def transform(T: FloatArray, p: FloatArray, out: FloatArray) -> None:
 
 
 @inlined_part
-def transform_back(T: FloatArray, p: FloatArray, out: FloatArray) -> None:
-    """out (3,) = T⁻¹ p of a rigid motion T (4, 4)."""
-    x, y, z = p[0] - T[0, 3], p[1] - T[1, 3], p[2] - T[2, 3]
-    for a in range(3):
-        out[a] = T[0, a] * x + T[1, a] * y + T[2, a] * z
-
-
-@inlined_part
 def triangulate(uv: FloatArray, T: FloatArray, p: FloatArray) -> bool:
     """Point p (3,) of a stereo pair uv (4,), as `triangulate_stereo`; False where there is none."""
     x = T[0, 0] * uv[0] + T[0, 1] * uv[1] + T[0, 2]

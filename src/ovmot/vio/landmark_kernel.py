@@ -10,7 +10,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
-from ovmot.vio.reprojection_kernel import feature_rows
+from ovmot.vio.reprojection_kernel import feature_rows, inverse_motions
 from ovmot.vio.update_kernel import (
     factor_with_rows,
     give_weights,
@@ -69,11 +69,12 @@ def landmark_rows(
     n_bearing, first_landmark = 3 - size, n_calibration + _POSE * n_clones
     k = first_landmark + size * n_landmarks
     H, residual = np.zeros((n_landmarks, 1 + size, k)), np.zeros((n_landmarks, 1 + size))
+    T_imu_now, T_imu_first = inverse_motions(T_now), inverse_motions(T_first)
     dof, clone = np.zeros(n_landmarks, np.int64), np.empty(4, np.int64)
     rows, A = np.empty((4, 10 + n_calibration)), np.empty((4, n_bearing + k + 1))
     for f in range(n_landmarks):
         m = feature_rows(
-            p_now[f], p_first[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            p_now[f], p_first[f], pixels[f], by_calibration[f], T_imu_now, T_imu_first, T_cam_imu,
             lens, cameras, sigma, rows, clone,
         )  # fmt: skip
         A[:] = 0.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
-from ovmot.vio.reprojection_kernel import feature_rows
+from ovmot.vio.reprojection_kernel import feature_rows, inverse_motions
 from ovmot.vio.update_kernel import (
     explained_square,
     factor_with_rows,
@@ -251,13 +251,14 @@ def update_by_features(
     clone = np.empty((n_features, _VIEW * n_clones), dtype=np.int64)
     count, order = np.zeros(n_features, np.int64), np.empty(n_features, dtype=np.int64)
     R, E = np.zeros((n_features, _POINT, _POINT)), np.zeros((n_features, _POINT, n + 1))
+    T_imu_now, T_imu_first = inverse_motions(T_now), inverse_motions(T_first)
     window, ratio = np.empty((n, n)), np.full(n_features, np.inf)
     for i in range(n):
         for j in range(n):
             window[i, j] = P[first + i, first + j]
     for f in range(n_features):
         m = feature_rows(
-            points[f], points[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            points[f], points[f], pixels[f], by_calibration[f], T_imu_now, T_imu_first, T_cam_imu,
             lens, cameras, sigma, rows[f], clone[f],
         )  # fmt: skip
         count[f], dof = m, m - _POINT

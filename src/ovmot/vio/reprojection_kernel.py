@@ -9,8 +9,8 @@ import numpy as np
 
 from ovmot.cameras.lens_kernel import pixel_jacobian, to_pixel
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import inlined_part, part
-from ovmot.kernels.stereo import transform, transform_back
+from ovmot.kernels.cache import inlined_part, part, reordered_part
+from ovmot.kernels.stereo import transform
 
 IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
@@ -18,14 +18,14 @@ IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside sti
 @inlined_part
 def _view_rows(
     lens: FloatArray, q: FloatArray, p_imu: FloatArray, T_cam_imu: FloatArray,
-    T_world_imu: FloatArray, rows: FloatArray,
+    R_imu_world: FloatArray, rows: FloatArray,
 ) -> None:  # fmt: skip
     """Jacobians of a pixel (2 rows) by the point (columns 0:3) and the clone (3:9).
 
     `lens` (2, 2): ∂pixel/∂(undistorted coordinates); `q`, `p_imu` (3,): the point in the camera and
     in the IMU. ∂p_imu/∂θ = [p_imu]x, ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
     """
-    T, R = T_cam_imu, T_world_imu
+    T, R = T_cam_imu, R_imu_world
     for i in range(2):
         x, y = lens[i, 0] / q[2], lens[i, 1] / q[2]
         z = -(q[0] * x + q[1] * y) / q[2]
@@ -33,7 +33,7 @@ def _view_rows(
         g1 = x * T[0, 1] + y * T[1, 1] + z * T[2, 1]
         g2 = x * T[0, 2] + y * T[1, 2] + z * T[2, 2]
         for k in range(3):
-            by_point = g0 * R[k, 0] + g1 * R[k, 1] + g2 * R[k, 2]
+            by_point = g0 * R[0, k] + g1 * R[1, k] + g2 * R[2, k]
             rows[i, k], rows[i, 6 + k] = by_point, -by_point
         rows[i, 3] = g1 * p_imu[2] - g2 * p_imu[1]
         rows[i, 4] = g2 * p_imu[0] - g0 * p_imu[2]
@@ -47,6 +47,20 @@ def _is_beside(lens: int, camera: FloatArray, x: float, y: float) -> bool:
     beside = IMAGE_MARGIN * camera[10]
     in_width = -beside <= u <= camera[10] - 1.0 + beside
     return bool(in_width and -beside <= v <= camera[11] - 1.0 + beside)
+
+
+@reordered_part
+def inverse_motions(T: FloatArray) -> FloatArray:
+    """Inverses (K, 4, 4) of rigid motions (K, 4, 4)."""
+    out = np.zeros_like(T)
+    for k in range(len(T)):
+        for a in range(3):
+            for b in range(3):
+                out[k, a, b] = T[k, b, a]
+                out[k, a, 3] += T[k, b, a] * T[k, b, 3]
+            out[k, a, 3] = -out[k, a, 3]
+        out[k, 3, 3] = 1.0
+    return out
 
 
 @part
@@ -67,14 +81,14 @@ def feature_rows(
     """Whitened rows [point | clone | residual | calibration] (m, 10 + C) and their clones; m.
 
     Of one feature at world points `p_now` and `p_first` (3,), by latest and first estimates, seen
-    as `pixels` (K, 4) from the poses `T_now` and `T_first` (K, 4, 4): T_world_imu of each clone;
+    as `pixels` (K, 4) from the poses `T_now` and `T_first` (K, 4, 4): T_imu_world of each clone;
     `by_calibration` (K, 4, C): ∂pixel/∂(calibration); `lens` (2,), `cameras` (2, 12): see
     `packed_cameras`. What a view must be to count: see `msckf_features.reproject`.
     """
     m, p_imu, at_first, q, J = 0, np.empty(3), np.empty(3), np.empty(3), np.empty((2, 2))
     for k in range(len(pixels)):
-        transform_back(T_now[k], p_now, p_imu)
-        transform_back(T_first[k], p_first, at_first)
+        transform(T_now[k], p_now, p_imu)
+        transform(T_first[k], p_first, at_first)
         for c in range(2):
             camera = cameras[c]
             transform(T_cam_imu[c], p_imu, q)
