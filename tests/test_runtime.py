@@ -53,7 +53,7 @@ def test_prepare_process_turns_opencvs_threads_off() -> None:
 def test_prepare_process_holds_blas_to_one_thread_after_numpy_was_imported() -> None:
     code = (
         "import numpy; from ovmot.runtime import prepare_process; prepare_process();"
-        "from threadpoolctl import threadpool_info;"
+        "import scipy.linalg; from threadpoolctl import threadpool_info;"
         "print({i['num_threads'] for i in threadpool_info() if i['user_api'] == 'blas'})"
     )
     assert output_of(code) == "{1}"

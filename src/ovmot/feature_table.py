@@ -11,10 +11,8 @@ import numpy as np
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.kernels.table_kernel import (
-    append_row_compiled,
     columns_of_compiled,
     live_columns_compiled,
-    select_views_compiled,
 )
 from ovmot.types import FrontendFrame, PixelNoise
 
@@ -135,29 +133,37 @@ def empty_table() -> FeatureTable:
 
 def append_frame(table: FeatureTable, seen: FrontendFrame) -> FeatureTable:
     """The table with one more row, and a column for each feature that is new in it."""
-    n_old = table.shape[1]
+    n_rows, n_old = table.shape
     column = table.columns(seen.feature_id)
     is_new = column < 0
     n_new = int(is_new.sum())
     column[is_new] = n_old + np.arange(n_new)
-    pixels, normalized, used = append_row_compiled(
-        table.pixels, table.normalized, table.used, column,
-        np.ascontiguousarray(seen.pixels), np.ascontiguousarray(seen.normalized), n_old + n_new,
-    )  # fmt: skip
     track_length = np.concatenate([table.track_length, np.zeros(n_new, dtype=np.int64)])
     track_length[column] = seen.track_length
+    used = np.zeros((n_rows + 1, n_old + n_new), dtype=np.bool_)
+    used[:-1, :n_old] = table.used
     none = np.zeros(n_new, dtype=np.bool_)
     return FeatureTable(
         frame_ns=np.append(table.frame_ns, seen.timestamp_ns),
         clone_ns=np.append(table.clone_ns, seen.timestamp_ns),
         feature_id=np.concatenate([table.feature_id, seen.feature_id[is_new]]),
-        pixels=pixels,
-        normalized=normalized,
+        pixels=_with_row(table.pixels, seen.pixels, column, n_new),
+        normalized=_with_row(table.normalized, seen.normalized, column, n_new),
         track_length=track_length,
         used=used,
         dynamic=np.concatenate([table.dynamic, none]),
         outlier=np.concatenate([table.outlier, none]),
     )
+
+
+def _with_row(views: FloatArray, seen: FloatArray, column: IntArray, n_new: int) -> FloatArray:
+    """Views (T, F, 4) with `n_new` more columns, NaN, and one more row: those seen (N, 4) in
+    `column` (N,), NaN elsewhere."""
+    n_rows, n_old = views.shape[:2]
+    out = np.empty((n_rows + 1, n_old + n_new, 4))
+    out[:-1, :n_old], out[:-1, n_old:], out[-1] = views, np.nan, np.nan
+    out[-1, column] = seen
+    return out
 
 
 def mark_dynamic(table: FeatureTable, feature_id: IntArray) -> FeatureTable:
@@ -211,17 +217,15 @@ def keep_window(table: FeatureTable, clone_ns: IntArray) -> FeatureTable:
     rows[sharing[:-MAX_SHARING_ROWS]] = False
     row = np.flatnonzero(rows)
     column = np.flatnonzero(live_columns_compiled(table.pixels, table.used, table.dynamic, row))
-    pixels, normalized, used = select_views_compiled(
-        table.pixels, table.normalized, table.used, row, column
-    )
+    view = row[:, None] * table.shape[1] + column  # in one step: a third of the memory to go over
     return FeatureTable(
         frame_ns=table.frame_ns[row],
         clone_ns=table.clone_ns[row],
         feature_id=table.feature_id[column],
-        pixels=pixels,
-        normalized=normalized,
+        pixels=table.pixels.reshape(-1, 4).take(view, axis=0),
+        normalized=table.normalized.reshape(-1, 4).take(view, axis=0),
         track_length=table.track_length[column],
-        used=used,
+        used=table.used.ravel().take(view),
         dynamic=table.dynamic[column],
         outlier=table.outlier[column],
     )

@@ -49,6 +49,7 @@ def prepare_process() -> None:
     environment says otherwise.
     """
     import cv2
+    import scipy.linalg  # noqa: F401 - has a BLAS of its own, that of the kernels
     from threadpoolctl import threadpool_limits
 
     sys.setswitchinterval(_SWITCH_INTERVAL_S)

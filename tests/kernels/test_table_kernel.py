@@ -5,13 +5,13 @@ import pytest
 
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.table_kernel import (
-    append_row_compiled,
     available_views_compiled,
     columns_of_compiled,
+    count_still_compiled,
     gather_views_compiled,
     live_columns_compiled,
-    select_views_compiled,
 )
+from ovmot.types import tracked_pixels
 
 T, F = 6, 40
 
@@ -58,19 +58,6 @@ def test_views_are_gathered_clone_by_clone() -> None:
         assert np.isfinite(values).any()
 
 
-def test_a_row_and_new_columns_are_appended() -> None:
-    rng = np.random.default_rng(3)
-    pixels, used, _ = arrays(rng)
-    column, seen = np.array([5, F + 1, F, 7]), rng.normal(size=(2, 4, 4))
-    seen[:, 2, 2:] = np.nan
-    found = append_row_compiled(pixels, 2.0 * pixels, used, column, seen[0], seen[1], F + 2)
-    for values, before, now in zip(found, (pixels, 2.0 * pixels), seen, strict=False):
-        expected = np.full((T + 1, F + 2, 4), np.nan)
-        expected[:T, :F], expected[T, column] = before, now
-        np.testing.assert_array_equal(values, expected)
-    np.testing.assert_array_equal(found[2], np.pad(used, ((0, 1), (0, 2))))
-
-
 def test_columns_live_while_they_are_seen_or_fresh() -> None:
     pixels, used, dynamic = arrays(np.random.default_rng(4))
     row = np.array([0, 2, 5])
@@ -80,10 +67,12 @@ def test_columns_live_while_they_are_seen_or_fresh() -> None:
     assert 0.2 < expected.mean() < 0.95
 
 
-def test_rows_and_columns_are_chosen() -> None:
-    pixels, used, _ = arrays(np.random.default_rng(5))
-    row, column = np.array([1, 4]), np.array([0, 9, 33])
-    found = select_views_compiled(pixels, 2.0 * pixels, used, row, column)
-    chosen = np.ix_(row, column)
-    for values, given in zip(found, (pixels, 2.0 * pixels, used), strict=True):
-        np.testing.assert_array_equal(values, given[chosen])
+def test_features_that_keep_their_place_are_counted() -> None:
+    pixels, _, _ = arrays(np.random.default_rng(6))
+    earlier, now = pixels[0], pixels[0] + np.random.default_rng(7).normal(0.0, 0.5, (F, 4))
+    now[::5] = np.nan
+    column = np.arange(3, F)
+    way = np.linalg.norm(tracked_pixels(now) - tracked_pixels(earlier), axis=1)[column]
+    n_both, n_still = count_still_compiled(earlier, now, column, 0.6)
+    assert (n_both, n_still) == (np.isfinite(way).sum(), (way < 0.6).sum())
+    assert 5 < n_still < n_both < len(column)

@@ -145,14 +145,16 @@ def test_the_kernel_is_its_plain_twin(rig: StereoRig) -> None:
     np.testing.assert_array_equal(moves, wanted_moves)
 
 
-def test_features_are_counted_in_their_cells() -> None:
+@pytest.mark.parametrize("side", [0, 1])
+def test_features_are_counted_in_their_cells(side: int) -> None:
     """By the kernel as by NumPy; those beyond the picture or unseen are not."""
     rng = np.random.default_rng(7)
-    pixels = rng.uniform(-20.0, 120.0, (200, 2))
-    pixels[::9] = np.nan
+    stereo = rng.uniform(-20.0, 120.0, (200, 4))
+    stereo[::9] = np.nan
+    pixels = stereo[:, 2 * side : 2 * side + 2]
     stands, moves = rng.uniform(size=(2, 200)) < 0.4
     before = rng.integers(0, 9, (2, 8, 10))
-    after = count_in_cells_compiled(pixels, stands, moves, 10, 100, 75, before[0], before[1])
+    after = count_in_cells_compiled(stereo, side, stands, moves, 10, 100, 75, before[0], before[1])
     inside = (pixels >= 0.0).all(axis=1) & (pixels < [100.0, 75.0]).all(axis=1)
     for k, which in enumerate((stands, moves)):
         expected = before[k].copy()

@@ -112,15 +112,20 @@ def test_views_outside_the_picture_do_not_count(scene: Scene) -> None:
     assert_same_update(state, ours, plain)
 
 
-def test_a_majority_that_asks_for_another_velocity_is_left_out(scene: Scene) -> None:
-    """What two thirds of the features show moves at 20 m/s; each by itself passes a wide gate."""
+@pytest.mark.parametrize("unsure", [1e-3, 30.0])
+def test_a_majority_that_asks_for_another_velocity_is_left_out(scene: Scene, unsure: float) -> None:
+    """What two thirds of the features show moves at 20 m/s; each by itself passes a wide gate.
+
+    Where the poses are `unsure`, the nearest features by their distances are others than by the
+    bounds of these that are enough for a weight.
+    """
     state, rig, pixels, points = scene("radtan", calibrated=False)
     span_s = 0.1 * np.arange(N_CLONES)
     by_velocity = np.zeros((len(state.covariance), 3))  # known to 0.1 m/s, it moves the clones
     by_velocity[VELOCITY] = 0.1 * np.eye(3)
     for k in range(N_CLONES):
         by_velocity[state.clone_columns(k)][3:] = 0.1 * span_s[k] * np.eye(3)
-    P = 1e-3 * state.covariance + by_velocity @ by_velocity.T
+    P = unsure * state.covariance + by_velocity @ by_velocity.T
     state = replace(state, covariance=P)
     for f in range(8, 24):
         moved = points[f] + span_s[:, None] * np.array([0.0, 20.0, 0.0])

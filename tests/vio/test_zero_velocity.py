@@ -135,15 +135,14 @@ def looks_stationary(table: FeatureTable, rig: StereoRig, settings: ZeroVelocity
 
 
 def test_share_counts_candidates_seen_in_both_frames() -> None:
-    earlier = np.tile([100.0, 50.0], (40, 1))
+    earlier = np.tile([100.0, 50.0, 90.0, 50.0], (40, 1))
     now = earlier.copy()
     now[:10] += 3.0
     now[10:20, 0] += 0.3  # within the noise
     earlier[20:25] = np.nan
     now[25:30] = np.nan
-    candidates = np.arange(40) >= 5
-    assert stationary_share(now, earlier, candidates, 0.4) == pytest.approx(20 / 25)
-    assert stationary_share(now, earlier, np.arange(40) < 7, 0.4) == 0.0  # too few to say
+    assert stationary_share(now, earlier, np.arange(5, 40), 0.4) == pytest.approx(20 / 25)
+    assert stationary_share(now, earlier, np.arange(20, 37), 0.4) == 0.0  # too few to say
 
 
 def test_a_stationary_rig_is_detected_and_a_creeping_one_is_not(

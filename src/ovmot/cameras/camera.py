@@ -1,6 +1,6 @@
 """One camera: image size, intrinsics and camera model; pixels to rays and back, with Jacobians."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,7 @@ class Camera:
     `intrinsics` (5,) is fx, fy, cx, cy, skew in pixels: u = fx·x + skew·y + cx, v = fy·y + cy,
     where (x, y) are distorted normalized coordinates. `distortion` (k,) belongs to `model`. `fx`
     and `fy` of the camera itself are pixels per radian on its axis, for models that scale there.
+    `packed` (12,) follows, for kernels: intrinsics (5), distortion (5), width and height.
     Raises `CalibrationError` when these can not be a camera's.
     """
 
@@ -27,6 +28,7 @@ class Camera:
     intrinsics: FloatArray
     model: CameraModel
     distortion: FloatArray
+    packed: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.intrinsics.shape != (5,) or not np.all(np.isfinite(self.intrinsics)):
@@ -45,6 +47,10 @@ class Camera:
             )
         if not np.all(np.isfinite(self.distortion)):
             raise CalibrationError("distortion coefficients must be finite numbers")
+        packed = np.zeros(12)
+        packed[:5], packed[10:] = self.intrinsics, sizes
+        packed[5 : 5 + len(self.distortion)] = self.distortion
+        object.__setattr__(self, "packed", packed)
 
     @classmethod
     def make(

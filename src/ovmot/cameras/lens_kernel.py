@@ -95,7 +95,7 @@ def distort_jacobian(lens: int, d: FloatArray, x: float, y: float) -> Four:
 
 @part
 def to_pixel(lens: int, camera: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """Pixel of undistorted normalized coordinates; `camera` (12,): see `packed_camera`."""
+    """Pixel of undistorted normalized coordinates; `camera` (12,): see `Camera.packed`."""
     x, y = distort(lens, camera[5:10], x, y)
     return camera[0] * x + camera[4] * y + camera[2], camera[1] * y + camera[3]
 
@@ -109,18 +109,14 @@ def pixel_jacobian(lens: int, camera: FloatArray, x: float, y: float) -> Four:
 
 
 def packed_camera(camera: Camera) -> tuple[int, FloatArray]:
-    """Code of its lens, and a camera (12,): intrinsics (5), distortion (5), size (2).
+    """Code of its lens, and a camera (12,): see `Camera.packed`.
 
     Raises `ValueError` for a camera model without compiled code.
     """
-    packed = np.zeros(12)
-    packed[:5] = camera.intrinsics
-    packed[5 : 5 + len(camera.distortion)] = camera.distortion
-    packed[10:] = camera.width, camera.height
-    return LENSES.index(camera.model.name), packed
+    return LENSES.index(camera.model.name), camera.packed
 
 
 def packed_cameras(rig: StereoRig) -> tuple[IntArray, FloatArray]:
     """Codes of the lenses (2,), and both cameras (2, 12): see `packed_camera`."""
-    lens, packed = zip(*(packed_camera(camera) for camera in rig.cameras), strict=True)
-    return np.array(lens, dtype=np.int64), np.stack(packed)
+    lens = [LENSES.index(camera.model.name) for camera in rig.cameras]
+    return np.array(lens, dtype=np.int64), rig.packed

@@ -24,7 +24,8 @@ class StereoRig:
 
     `T_imu_cam0`, `T_imu_cam1` (4, 4) map camera points into the IMU frame, metres.
     `T_cam1_cam0` (4, 4) follows: it maps points of the left camera into the right one; and
-    `T_cam_imu` (2, 4, 4): of the IMU into the left and into the right one.
+    `T_cam_imu` (2, 4, 4): of the IMU into the left and into the right one; and `packed` (2, 12):
+    both cameras, for kernels.
     `time_offset_s` is added to a camera stamp to give the IMU's time: t_imu = t_cam + offset.
     `n_cameras` is 1 for a monocular rig: `cam1` and its pose are then placeholders, which keep the
     arrays of both cameras their form; it has no images and sees nothing.
@@ -40,6 +41,7 @@ class StereoRig:
     n_cameras: int = 2
     T_cam1_cam0: FloatArray = field(init=False, repr=False, compare=False)
     T_cam_imu: FloatArray = field(init=False, repr=False, compare=False)
+    packed: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name, T in (("T_imu_cam0", self.T_imu_cam0), ("T_imu_cam1", self.T_imu_cam1)):
@@ -64,6 +66,7 @@ class StereoRig:
         object.__setattr__(self, "T_cam1_cam0", T_cam1_cam0)
         both = np.stack([self.T_imu_cam0, self.T_imu_cam1])
         object.__setattr__(self, "T_cam_imu", se3.inverse(both))
+        object.__setattr__(self, "packed", np.stack([self.cam0.packed, self.cam1.packed]))
 
     @classmethod
     def make(

@@ -1,4 +1,4 @@
-"""Compiled work on the arrays of the feature table: append, choose, gather, drop.
+"""Compiled work on the arrays of the feature table: find, choose, gather, count.
 
 tests/kernels/test_table_kernel.py holds the plain NumPy twins.
 """
@@ -53,8 +53,8 @@ def available_views(
     for t in range(len(used)):
         if rows[t]:
             for f in range(used.shape[1]):
-                seen = math.isfinite(pixels[t, f, 0]) or math.isfinite(pixels[t, f, 2])
-                out[t, f] = seen and not (used[t, f] or dynamic[f])
+                if not (used[t, f] or dynamic[f]):
+                    out[t, f] = math.isfinite(pixels[t, f, 0]) or math.isfinite(pixels[t, f, 2])
     return out
 
 
@@ -78,31 +78,6 @@ def gather_views(
     return out[0], out[1]
 
 
-def append_row(
-    pixels: FloatArray, normalized: FloatArray, used: BoolArray, column: IntArray,
-    seen_pixels: FloatArray, seen_normalized: FloatArray, n_features: int,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    """The arrays (T + 1, n_features, ...) with one more row and new columns, NaN where unseen.
-
-    `pixels`, `normalized` (T, F, 4), `used` (T, F); the new row's views (n, 4) go to `column` (n,).
-    """
-    n_rows, n_old = used.shape
-    out = np.empty((2, n_rows + 1, n_features, 4))
-    out_used = np.empty((n_rows + 1, n_features), dtype=np.bool_)
-    for t in range(n_rows + 1):
-        for f in range(n_features):
-            known = t < n_rows and f < n_old
-            out_used[t, f] = known and used[t, f]
-            for i in range(4):
-                out[0, t, f, i] = pixels[t, f, i] if known else math.nan
-                out[1, t, f, i] = normalized[t, f, i] if known else math.nan
-    for n in range(len(column)):
-        for i in range(4):
-            out[0, n_rows, column[n], i] = seen_pixels[n, i]
-            out[1, n_rows, column[n], i] = seen_normalized[n, i]
-    return out[0], out[1], out_used
-
-
 def live_columns(
     pixels: FloatArray, used: BoolArray, dynamic: BoolArray, row: IntArray
 ) -> BoolArray:
@@ -112,34 +87,36 @@ def live_columns(
     of a feature that is not dynamic.
     """
     out = np.zeros(used.shape[1], dtype=np.bool_)
-    for k in range(len(row)):
-        t = row[k]
-        for f in range(len(out)):
-            if k == len(row) - 1 or not (used[t, f] or dynamic[f]):
-                seen = math.isfinite(pixels[t, f, 0]) or math.isfinite(pixels[t, f, 2])
-                out[f] = out[f] or seen
+    for f in range(len(out)):
+        for k in range(len(row) - 1, -1, -1):  # most are seen by the newest
+            t = row[k]
+            if k == len(row) - 1 or not used[t, f]:
+                out[f] = math.isfinite(pixels[t, f, 0]) or math.isfinite(pixels[t, f, 2])
+            if out[f] or dynamic[f]:
+                break
     return out
 
 
-def select_views(
-    pixels: FloatArray, normalized: FloatArray, used: BoolArray, row: IntArray, column: IntArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """The arrays (t, f, ...) of some rows (t,) and columns (f,)."""
-    out = np.empty((2, len(row), len(column), 4))
-    out_used = np.empty((len(row), len(column)), dtype=np.bool_)
-    for t in range(len(row)):
-        for f in range(len(column)):
-            out_used[t, f] = used[row[t], column[f]]
-            for i in range(4):
-                out[0, t, f, i] = pixels[row[t], column[f], i]
-                out[1, t, f, i] = normalized[row[t], column[f], i]
-    return out[0], out[1], out_used
+def count_still(
+    earlier: FloatArray, now: FloatArray, column: IntArray, max_pixels: float
+) -> tuple[int, int]:
+    """How many features of some columns (n,) two rows see, and how many moved less than a bound.
+
+    `earlier`, `now` (F, 4): pixels, NaN where unseen; compared are those of `types.tracked_pixels`.
+    """
+    n_both, n_still = 0, 0
+    for n in range(len(column)):
+        a, b = earlier[column[n]], now[column[n]]
+        i, j = 2 if math.isnan(a[0]) else 0, 2 if math.isnan(b[0]) else 0
+        way = math.hypot(b[j] - a[i], b[j + 1] - a[i + 1])
+        n_both += math.isfinite(way)
+        n_still += way < max_pixels
+    return n_both, n_still
 
 
 _FOLDER = code_folder(Path(__file__))
 columns_of_compiled = compiled(columns_of, _FOLDER)
-append_row_compiled = compiled(append_row, _FOLDER)
 live_columns_compiled = compiled(live_columns, _FOLDER)
-select_views_compiled = compiled(select_views, _FOLDER)
 available_views_compiled = compiled(available_views, _FOLDER)
 gather_views_compiled = compiled(gather_views, _FOLDER)
+count_still_compiled = compiled(count_still, _FOLDER)

@@ -114,10 +114,11 @@ def compare_with_rest(
     """How far each of N points is from rest over L earlier frames, and how it moves.
 
     Under rest the residual r ~ N(0, S + J Jᵀ (s Δt)²) with `forgiven_mps` s; compared are points
-    within `max_range` metres now and predicted. Points whose squared distance is `fit_beyond` and
-    more get a velocity: r = D v Δt by weighted least squares, changes of it by `accel_mps2`
-    forgiven. Over the last interval: distance in metres, its depth weighted, and the reprojection
-    error in pixels by the focal lengths (4,).
+    within `max_range` metres now and predicted. Squared distances that the pixels' noise alone
+    keeps below `fit_beyond` are not computed, but taken as 0. Points of `fit_beyond` and more get a
+    velocity: r = D v Δt by weighted least squares, changes of it by `accel_mps2` forgiven. Over the
+    last interval: distance in metres, its depth weighted, and the reprojection error in pixels by
+    the focal lengths (4,).
     """
     n_rows, n_points = pairs.then.shape[:2]
     out, s = no_comparison(n_points), new_scratch()
@@ -134,6 +135,10 @@ def compare_with_rest(
                 if row == n_rows - 1 and fit == 0:
                     last_interval(pairs, noise, n, depth_weight, focal, s, out)
                 if not s.predicted[2] < max_range:
+                    continue
+                if fit == 0 and is_within_noise(pairs, noise, row, n, fit_beyond, s):
+                    out.rows[n] += 1
+                    out.in_last[n] = row == n_rows - 1
                     continue
                 spread_point(pairs, ego, noise, row, n, s)
                 image_covariance(pairs, noise, row, n, s.J, s.C, s.S)
@@ -170,6 +175,30 @@ def predict_point(pairs: Pairs, ego: EgoMotion, row: int, n: int, s: Scratch) ->
 
 
 @inlined_part
+def drift_variance(pairs: Pairs, noise: StereoNoise, row: int, n: int) -> float:
+    """Of a patch's place in normalized coordinates, since an earlier row."""
+    du, dv = pairs.now[n, 0] - pairs.then[row, n, 0], pairs.now[n, 1] - pairs.then[row, n, 1]
+    return float(noise.drift[row] ** 2 + noise.drift_per_flow**2 * (du * du + dv * dv))
+
+
+@inlined_part
+def is_within_noise(
+    pairs: Pairs, noise: StereoNoise, row: int, n: int, bound: float, s: Scratch
+) -> bool:
+    """Is the residual's squared distance below a bound already by the noise of the pixels now?
+
+    What else is unsure only makes it less.
+    """
+    T, p, now = noise.T_cam1_cam0, s.predicted, pairs.now[n]
+    drifted, distance = drift_variance(pairs, noise, row, n), 0.0
+    transform(T, p, s.h)
+    for i in range(4):
+        seen_at = p[i] / p[2] if i < 2 else s.h[i - 2] / s.h[2]
+        distance += (now[i] - seen_at) ** 2 / (noise.sigma[i] ** 2 + drifted)
+    return bool(distance < bound)
+
+
+@inlined_part
 def spread_point(
     pairs: Pairs, ego: EgoMotion, noise: StereoNoise, row: int, n: int, s: Scratch
 ) -> None:
@@ -203,8 +232,7 @@ def image_covariance(
     pairs: Pairs, noise: StereoNoise, row: int, n: int, J: FloatArray, C: FloatArray, S: FloatArray
 ) -> None:
     """S (4, 4) = J C Jᵀ + pixel noise + drift of the patch since the row, the lower triangle."""
-    du, dv = pairs.now[n, 0] - pairs.then[row, n, 0], pairs.now[n, 1] - pairs.then[row, n, 1]
-    drifted = noise.drift[row] ** 2 + noise.drift_per_flow**2 * (du * du + dv * dv)
+    drifted = drift_variance(pairs, noise, row, n)
     for i in range(4):
         x = J[i, 0] * C[0, 0] + J[i, 1] * C[1, 0] + J[i, 2] * C[2, 0]
         y = J[i, 0] * C[0, 1] + J[i, 1] * C[1, 1] + J[i, 2] * C[2, 1]

@@ -28,11 +28,11 @@ class Evidence:
 
     `p_cam0` (N, 3): positions now, with covariance `cov_cam0` (N, 3, 3). `rows` (N,): number of
     earlier frames that were compared; `distance` (N,): the largest squared Mahalanobis distance
-    from rest over them, 4 degrees of freedom. One `velocity` (N, 3) in m/s that fits them all, its
-    `covariance` (N, 3, 3), and whether it explains what was seen, `explained` (N,): NaN and False
-    where rest is likely. Over the last interval, where it was compared, `in_last` (N,): where the
-    point would be at rest, `predicted` (N, 3), the weighted distance from there, `distance_m` (N,),
-    and the reprojection error `reprojection_px` (N,).
+    from rest over them, 4 degrees of freedom, 0 where rest is likely. One `velocity` (N, 3) in m/s
+    that fits them all, its `covariance` (N, 3, 3), and whether it explains what was seen,
+    `explained` (N,): NaN and False where rest is likely. Over the last interval, where it was
+    compared, `in_last` (N,): where the point would be at rest, `predicted` (N, 3), the weighted
+    distance from there, `distance_m` (N,), and the reprojection error `reprojection_px` (N,).
     """
 
     p_cam0: FloatArray

@@ -13,11 +13,11 @@ from scipy import ndimage
 from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.physics import RIG_REACH_M
 from ovmot.segmentation.rig_body_kernel import count_in_cells_compiled, find_standing_compiled
 from ovmot.segmentation.segmentation import Segmentation
+from ovmot.segmentation.static_comparison import ego_motion_since
 from ovmot.types import PixelNoise, PointLabel, PoseWindow
 
 _CELLS = 32
@@ -41,6 +41,8 @@ class RigBody:
     def cells(self, side: int) -> BoolArray:
         """The cells (rows, columns) of a picture, 0 left, 1 right, that show the rig."""
         stood, moved = self.stood[side], self.moved[side]
+        if stood.max(initial=0) < _CERTAIN:
+            return np.zeros(stood.shape, dtype=np.bool_)
         mostly = stood >= _SHARE * (stood + moved)
         certain: BoolArray = (stood >= _CERTAIN) & mostly
         if not certain.any():
@@ -85,11 +87,11 @@ def counted(
 ) -> RigBody:
     """The counts with those of a frame's features: which stand and which move (N,), by
     `standing_features`, and their pixels (N, 4)."""
-    stood, moved = list(body.stood), list(body.moved)
+    stood, moved, pixels = list(body.stood), list(body.moved), np.ascontiguousarray(pixels)
     for side, camera in enumerate(rig.cameras):
         stood[side], moved[side] = count_in_cells_compiled(
-            np.ascontiguousarray(pixels[:, 2 * side : 2 * side + 2]), stands, moves,
-            _cell_px(camera), camera.width, camera.height, stood[side], moved[side],
+            pixels, side, stands, moves, _cell_px(camera), camera.width, camera.height,
+            stood[side], moved[side],
         )  # fmt: skip
     return RigBody((stood[0], stood[1]), (moved[0], moved[1]))
 
@@ -105,9 +107,7 @@ def standing_features(
     its distance, and in a bend its bearing too. A feature stands that is within the noise of where
     it was, and off by ten times the noise from where it is expected.
     """
-    clone = np.searchsorted(window.timestamp_ns, history.clone_ns)
-    T_world_cam0 = window.T_world_imu @ rig.T_imu_cam0
-    T_now_then = se3.inverse(T_world_cam0[-1]) @ T_world_cam0[clone]
+    T_now_then = ego_motion_since(history, window, rig).T_now_then
     sigma_px = _way_sigma_px(history.noise, history.n_frames)
     return find_standing_compiled(
         history.then, history.p_then, history.now, T_now_then, sigma_px, rig.cam0.fx, RIG_REACH_M

@@ -58,17 +58,17 @@ def find_standing(
 
 
 def count_in_cells(
-    pixels: FloatArray, stands: BoolArray, moves: BoolArray, cell_px: int, width: int, height: int,
-    stood: IntArray, moved: IntArray,
+    pixels: FloatArray, side: int, stands: BoolArray, moves: BoolArray,
+    cell_px: int, width: int, height: int, stood: IntArray, moved: IntArray,
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
     """The counts `stood` and `moved` (rows, columns) with a frame's features, in new arrays.
 
-    `pixels` (N, 2) in the picture (height, width), of cells of side `cell_px`; which features stand
-    and which move (N,).
+    `pixels` (N, 4), of `side` 0 in the left picture, 1 in the right one, both of size (height,
+    width), in square cells of `cell_px`; which features stand and which move (N,).
     """
     more_stood, more_moved = stood.copy(), moved.copy()
     for n in range(len(pixels)):
-        u, v = pixels[n]
+        u, v = pixels[n, 2 * side], pixels[n, 2 * side + 1]
         if 0.0 <= u < width and 0.0 <= v < height:
             row, column = int(v) // cell_px, int(u) // cell_px
             more_stood[row, column] += stands[n]

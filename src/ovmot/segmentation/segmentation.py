@@ -53,7 +53,7 @@ def segment_points(
     if settings.candidates == "ransac":
         verdict = _only_rejected(verdict, seen.two_view_inlier)
     near = evidence.p_cam0[:, 2] < settings.max_range_m
-    previous = table.pixels[history.row[-1], table.columns(history.feature_id), :2]
+    previous = table.pixels[history.row[-1]].take(table.columns(history.feature_id), axis=0)[:, :2]
     previous[~near] = np.nan
     points = ScenePoints(
         feature_id=points.feature_id,

@@ -11,7 +11,6 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import LOOK_BACK_TOLERANCE, FeatureTable, StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.geometry.id_sets import contained
 from ovmot.segmentation.history_kernel import triangulate_pairs_compiled
 from ovmot.types import PixelNoise
 
@@ -32,8 +31,9 @@ def stereo_history(
     row = look_back_rows(table, window_ns, look_back_s)
     column = table.columns(feature_id)
     age_ns = table.frame_ns[-1] - table.frame_ns[row]
+    then = table.normalized.reshape(-1, 4).take(row[:, None] * table.shape[1] + column, axis=0)
     return history_of(
-        table.normalized[row[:, None], column], table.normalized[-1, column], feature_id,
+        then, table.normalized[-1].take(column, axis=0), feature_id,
         row, table.clone_ns[row], age_ns * 1e-9, len(table.frame_ns) - 1 - row, rig, noise,
     )  # fmt: skip
 
@@ -63,16 +63,12 @@ def look_back_rows(
     table: FeatureTable, window_ns: IntArray, look_back_s: tuple[float, ...]
 ) -> IntArray:
     """Earlier rows (L,) with a known pose, oldest first: near each look-back time, and the last."""
-    posed = contained(table.clone_ns, np.sort(window_ns))
-    posed[-1] = False
-    rows = np.flatnonzero(posed)
-    if len(rows) == 0:
-        return rows
-    age_ns = table.frame_ns[-1] - table.frame_ns[rows]
-    chosen = {int(rows[-1])}
-    for wanted_ns in [round(1e9 * seconds) for seconds in look_back_s]:
-        apart = np.abs(age_ns - wanted_ns)  # integers: rounding decides no tie
-        nearest = int(apart.argmin())
-        if apart[nearest] < LOOK_BACK_TOLERANCE * wanted_ns:
-            chosen.add(int(rows[nearest]))
+    posed, frame_ns = set(window_ns.tolist()), table.frame_ns.tolist()
+    rows = [row for row, clone in enumerate(table.clone_ns[:-1].tolist()) if clone in posed]
+    chosen = set(rows[-1:])
+    for wanted_ns in [round(1e9 * seconds) for seconds in look_back_s if rows]:
+        apart_ns = [abs(frame_ns[-1] - frame_ns[row] - wanted_ns) for row in rows]
+        nearest_ns = min(apart_ns)  # integers: rounding decides no tie
+        if nearest_ns < LOOK_BACK_TOLERANCE * wanted_ns:
+            chosen.add(rows[apart_ns.index(nearest_ns)])
     return np.array(sorted(chosen), dtype=np.int64)

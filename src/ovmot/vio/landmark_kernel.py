@@ -10,7 +10,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
-from ovmot.vio.reprojection_kernel import feature_rows
+from ovmot.vio.reprojection_kernel import feature_rows, inverse_motions
 from ovmot.vio.update_kernel import (
     factor_with_rows,
     give_weights,
@@ -62,18 +62,19 @@ def landmark_rows(
 
     `p_now`, `p_first`, `by_value`, `by_anchor`, `anchor`: see `LandmarkPoints`; `by_value` and
     `by_anchor` by the first estimates. `pixels` (L, 1, 4), `by_calibration` (L, 1, 4, C); `T_now`,
-    `T_first` (1, 4, 4): T_imu_world of the newest clone; `size` s: coordinates of a landmark, the
+    `T_first` (1, 4, 4): T_world_imu of the newest clone; `size` s: coordinates of a landmark, the
     others are projected out. H is over the calibration, the clones and the landmarks.
     """
     n_landmarks, n_calibration = len(pixels), by_calibration.shape[3]
     n_bearing, first_landmark = 3 - size, n_calibration + _POSE * n_clones
     k = first_landmark + size * n_landmarks
     H, residual = np.zeros((n_landmarks, 1 + size, k)), np.zeros((n_landmarks, 1 + size))
+    T_imu_now, T_imu_first = inverse_motions(T_now), inverse_motions(T_first)
     dof, clone = np.zeros(n_landmarks, np.int64), np.empty(4, np.int64)
     rows, A = np.empty((4, 10 + n_calibration)), np.empty((4, n_bearing + k + 1))
     for f in range(n_landmarks):
         m = feature_rows(
-            p_now[f], p_first[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            p_now[f], p_first[f], pixels[f], by_calibration[f], T_imu_now, T_imu_first, T_cam_imu,
             lens, cameras, sigma, rows, clone,
         )  # fmt: skip
         A[:] = 0.0

@@ -161,7 +161,7 @@ def consistent_features(
     bounds = settings.chi2_multiplier * gates(4 * pixels.shape[1], 0.95)
     weight, error, covariance, R, E = update_by_features_compiled(
         points, pixels, calibration_jacobians(clones, rig, points, state.calibration),
-        se3.inverse(clones.T_world_imu), se3.inverse(clones.T_world_imu_first),
+        clones.T_world_imu, clones.T_world_imu_first,
         rig.T_cam_imu, *packed_cameras(rig),
         settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
     )  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part, reordered_part
-from ovmot.vio.reprojection_kernel import feature_rows
+from ovmot.vio.reprojection_kernel import feature_rows, inverse_motions
 from ovmot.vio.update_kernel import (
     explained_square,
     factor_with_rows,
@@ -42,6 +42,7 @@ def _point_basis(rows: FloatArray, Q: FloatArray, R: FloatArray) -> None:
     orthonormalize_rows(Q)
     for a in range(_POINT):
         for j in range(a, _POINT):
+            R[a, j] = 0.0
             for i in range(m):
                 R[a, j] += Q[a, i] * rows[i, j]
 
@@ -178,13 +179,23 @@ def compressed(G: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @reordered_part
 def _measure(
-    rows: FloatArray, clone: IntArray, m: int, P: FloatArray, R: FloatArray, E: FloatArray
-) -> float:
-    """A feature's distance by its m > 3 rows; R (3, 3) and E (3, n + 1), the point's rows."""
+    rows: FloatArray, clone: IntArray, m: int, P: FloatArray, enough: float, R: FloatArray,
+    E: FloatArray,
+) -> float:  # fmt: skip
+    """A feature's distance by its m > 3 rows; R (3, 3) and E (3, n + 1), the point's rows.
+
+    The innovation's covariance is the noise I and more, so the squared length of the projected
+    innovation is a bound of the distance. A bound up to `enough` is given in place of it.
+    """
     Q = np.empty((_POINT, m))
     _point_basis(rows, Q, R)
     _rows_in_basis(rows, clone, m, Q, E)
-    return _projected_distance(rows, clone, m, Q, P)
+    bound = 0.0
+    for i in range(m):
+        bound += rows[i, 9] * rows[i, 9]
+    for a in range(_POINT):
+        bound -= E[a, -1] * E[a, -1]
+    return bound if bound <= enough else _projected_distance(rows, clone, m, Q, P)
 
 
 @reordered_part
@@ -225,7 +236,7 @@ def update_by_features(
     """One update by all features that are consistent: weight, error, covariance, R, E.
 
     `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
-    (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_imu_world of the clones, by
+    (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_world_imu of the clones, by
     latest and first estimates; `T_cam_imu` (2, 4, 4); `lens`, `cameras`: see `packed_cameras`; `P`
     (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
     gate of a feature's distance by its degrees of freedom.
@@ -240,18 +251,20 @@ def update_by_features(
     clone = np.empty((n_features, _VIEW * n_clones), dtype=np.int64)
     count, order = np.zeros(n_features, np.int64), np.empty(n_features, dtype=np.int64)
     R, E = np.zeros((n_features, _POINT, _POINT)), np.zeros((n_features, _POINT, n + 1))
+    T_imu_now, T_imu_first = inverse_motions(T_now), inverse_motions(T_first)
     window, ratio = np.empty((n, n)), np.full(n_features, np.inf)
     for i in range(n):
         for j in range(n):
             window[i, j] = P[first + i, first + j]
     for f in range(n_features):
         m = feature_rows(
-            points[f], points[f], pixels[f], by_calibration[f], T_now, T_first, T_cam_imu,
+            points[f], points[f], pixels[f], by_calibration[f], T_imu_now, T_imu_first, T_cam_imu,
             lens, cameras, sigma, rows[f], clone[f],
         )  # fmt: skip
         count[f], dof = m, m - _POINT
-        if dof > 0:
-            distance = _measure(rows[f], clone[f], m, window, R[f], E[f])
+        if dof > 0:  # up to the degrees of freedom all have weight 1
+            enough = min(float(dof), bounds[dof])
+            distance = _measure(rows[f], clone[f], m, window, enough, R[f], E[f])
             if distance < bounds[dof]:
                 ratio[f] = math.sqrt(distance / dof)
     candidates = nearest_first(ratio, order)
@@ -264,6 +277,12 @@ def update_by_features(
         innovation(P, H, first, HP, S)
         if update_if_consistent(P, HP, S, residual, velocity_bound, error, updated):
             return weight, error, updated, R, E
+        if kept == candidates:  # which are the nearest half? Bounds do not tell
+            for k in range(candidates):
+                f, m = order[k], count[order[k]]
+                distance = _measure(rows[f], clone[f], m, window, -1.0, R[f], E[f])
+                ratio[f] = math.sqrt(distance / (m - _POINT))
+            nearest_first(ratio, order)
         kept //= 2
     weight[:] = 0.0
     return weight, error, P, R, E

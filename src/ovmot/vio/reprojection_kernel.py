@@ -9,13 +9,13 @@ import numpy as np
 
 from ovmot.cameras.lens_kernel import pixel_jacobian, to_pixel
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.kernels.cache import part
+from ovmot.kernels.cache import inlined_part, part, reordered_part
 from ovmot.kernels.stereo import transform
 
 IMAGE_MARGIN = 0.1  # of the image's width: a linearization this far outside still holds
 
 
-@part
+@inlined_part
 def _view_rows(
     lens: FloatArray, q: FloatArray, p_imu: FloatArray, T_cam_imu: FloatArray,
     R_imu_world: FloatArray, rows: FloatArray,
@@ -25,29 +25,42 @@ def _view_rows(
     `lens` (2, 2): ∂pixel/∂(undistorted coordinates); `q`, `p_imu` (3,): the point in the camera and
     in the IMU. ∂p_imu/∂θ = [p_imu]x, ∂p_imu/∂t = -Rᵀ, ∂p_imu/∂p = Rᵀ.
     """
-    g = np.empty(3)
+    T, R = T_cam_imu, R_imu_world
     for i in range(2):
         x, y = lens[i, 0] / q[2], lens[i, 1] / q[2]
         z = -(q[0] * x + q[1] * y) / q[2]
+        g0 = x * T[0, 0] + y * T[1, 0] + z * T[2, 0]
+        g1 = x * T[0, 1] + y * T[1, 1] + z * T[2, 1]
+        g2 = x * T[0, 2] + y * T[1, 2] + z * T[2, 2]
         for k in range(3):
-            g[k] = x * T_cam_imu[0, k] + y * T_cam_imu[1, k] + z * T_cam_imu[2, k]
-        for k in range(3):
-            by_point = (
-                g[0] * R_imu_world[0, k] + g[1] * R_imu_world[1, k] + g[2] * R_imu_world[2, k]
-            )
+            by_point = g0 * R[0, k] + g1 * R[1, k] + g2 * R[2, k]
             rows[i, k], rows[i, 6 + k] = by_point, -by_point
-        rows[i, 3] = g[1] * p_imu[2] - g[2] * p_imu[1]
-        rows[i, 4] = g[2] * p_imu[0] - g[0] * p_imu[2]
-        rows[i, 5] = g[0] * p_imu[1] - g[1] * p_imu[0]
+        rows[i, 3] = g1 * p_imu[2] - g2 * p_imu[1]
+        rows[i, 4] = g2 * p_imu[0] - g0 * p_imu[2]
+        rows[i, 5] = g0 * p_imu[1] - g1 * p_imu[0]
 
 
-@part
+@inlined_part
 def _is_beside(lens: int, camera: FloatArray, x: float, y: float) -> bool:
     """Is a point of the ideal image plane in the image, or close beside it?"""
     u, v = to_pixel(lens, camera, x, y)
     beside = IMAGE_MARGIN * camera[10]
     in_width = -beside <= u <= camera[10] - 1.0 + beside
     return bool(in_width and -beside <= v <= camera[11] - 1.0 + beside)
+
+
+@reordered_part
+def inverse_motions(T: FloatArray) -> FloatArray:
+    """Inverses (K, 4, 4) of rigid motions (K, 4, 4)."""
+    out = np.zeros_like(T)
+    for k in range(len(T)):
+        for a in range(3):
+            for b in range(3):
+                out[k, a, b] = T[k, b, a]
+                out[k, a, 3] += T[k, b, a] * T[k, b, 3]
+            out[k, a, 3] = -out[k, a, 3]
+        out[k, 3, 3] = 1.0
+    return out
 
 
 @part

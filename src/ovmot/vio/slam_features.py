@@ -11,7 +11,6 @@ import numpy as np
 
 from ovmot.cameras.lens_kernel import packed_cameras
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.physics import gates
 from ovmot.vio.innovation_consistency import VELOCITY_BOUND
@@ -75,7 +74,7 @@ def landmark_system(
     return landmark_rows_compiled(
         latest.p_world, first.p_world, first.by_value, first.by_anchor, first.anchor,
         pixels[:, None], calibration_jacobians(view, rig, first.p_world, state.calibration),
-        se3.inverse(view.T_world_imu), se3.inverse(view.T_world_imu_first),
+        view.T_world_imu, view.T_world_imu_first,
         rig.T_cam_imu, *packed_cameras(rig),
         sigma_px, len(clones), landmarks.size,
     )  # fmt: skip

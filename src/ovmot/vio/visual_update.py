@@ -150,9 +150,10 @@ def _update_with_slam_features(
 
 def _longest(candidates: BoolArray, n_views: IntArray, count: int) -> BoolArray:
     """At most `count` of the candidates (F,), those with most views first."""
-    if np.count_nonzero(candidates) <= count:
+    index = np.flatnonzero(candidates)
+    if len(index) <= count:
         return candidates
     out = np.zeros_like(candidates)
-    ranked = np.argsort(np.where(candidates, -n_views, 1), kind="stable")
+    ranked = index[np.argsort(-n_views[index], kind="stable")]
     out[ranked[: max(count, 0)]] = True
     return out

@@ -10,8 +10,9 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import FeatureTable, StereoHistory
 from ovmot.geometry import so3
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.stereo_motion import MIN_POINTS, motion_is_significant, solve_stereo_motion
+from ovmot.kernels.table_kernel import count_still_compiled
 from ovmot.physics import (
     FRAME_JITTER,
     REST_SHIFT_M,
@@ -23,7 +24,6 @@ from ovmot.physics import (
     tracked_pixel_sigma,
 )
 from ovmot.settings import ZeroVelocitySettings
-from ovmot.types import tracked_pixels
 from ovmot.vio.state import VELOCITY, State
 from ovmot.vio.update import ekf_update, innovation_distance
 
@@ -57,27 +57,22 @@ def image_is_stationary(
     if len(recent) == 0 or history.span_s[recent[0]] < 0.5 * look_back_s:
         return False
     k, column = int(recent[0]), table.columns(history.feature_id)
-    candidates = ~table.outlier[column] & ~table.dynamic[column]
-    now = tracked_pixels(table.pixels[-1, column])
-    then = tracked_pixels(table.pixels[history.row[k], column])
-    if stationary_share(now, then, candidates, settings.pixel) < settings.still_share:
+    candidates = np.flatnonzero(~(table.outlier | table.dynamic).take(column))
+    then, now = table.pixels[history.row[k]], table.pixels[-1]
+    if stationary_share(now, then, column[candidates], settings.pixel) < settings.still_share:
         return False
-    return not _has_moved(history.only(np.flatnonzero(candidates)), k, rig)
+    return not _has_moved(history.only(candidates), k, rig)
 
 
 def stationary_share(
-    pixels: FloatArray, earlier: FloatArray, candidates: BoolArray, max_pixels: float
+    pixels: FloatArray, earlier: FloatArray, column: IntArray, max_pixels: float
 ) -> float:
-    """Share of the candidate points (N,) that moved less than `max_pixels` in their image.
+    """Share of the features of some columns (n,) that moved less than `max_pixels` in their image.
 
-    `pixels`, `earlier` (N, 2), NaN where unseen; 0 with fewer than 8 points to compare.
+    `pixels`, `earlier` (F, 4): rows of the table; 0 with fewer than 8 features to compare.
     """
-    off = pixels - earlier
-    distance = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)[candidates]
-    n_both = np.count_nonzero(np.isfinite(distance))
-    if n_both < MIN_POINTS:
-        return 0.0
-    return float(np.count_nonzero(distance < max_pixels) / n_both)
+    n_both, n_still = count_still_compiled(earlier, pixels, column, max_pixels)
+    return 0.0 if n_both < MIN_POINTS else n_still / n_both
 
 
 def prediction_is_stationary(state: State) -> bool:
