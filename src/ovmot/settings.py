@@ -47,6 +47,8 @@ class TrackerSettings(Section):
     """Further features where something seems to move, beside those above; with objects only."""
     cameras: Literal["stereo", "left", "each"] = "stereo"
     """Match both cameras, use the left one alone, or each by itself; unmatched, nothing moves."""
+    stereo_search: Literal["scan", "flow"] = "scan"
+    """Stereo matches of features without a depth: along epipolar curves, or by optical flow."""
     two_view_threshold_px: float = Field(1.0, gt=0.0)
     """Epipolar distance that the robust test between consecutive images tolerates."""
 

@@ -36,7 +36,7 @@ def test_an_unspoiled_sequence_is_fine(walked: Path) -> None:
         ("accel_negated", "accelerometer sign", "opposite", "mav0/imu0/data.csv by -1"),
         ("clock_ahead", "time offset", "ahead", "timeshift_cam_imu to 0.30"),
         ("lengthen_baseline", "stereo scale", "1.3", "T_BS in mav0/cam1/sensor.yaml"),
-        ("turn_right_camera", "extrinsics", "turned by 2", "T_BS in mav0/cam1/sensor.yaml"),
+        ("turn_right_camera", "extrinsics", "turned by 2°", "T_BS in mav0/cam1/sensor.yaml"),
         ("drop_frames", "dropped frames", "6 of 50", "copy the missing images"),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend import klt_tracker, stereo_tracker
+from ovmot.frontend import klt_tracker, right_search, stereo_tracker
 from ovmot.frontend.epipolar import gate_matches
 from ovmot.frontend.epipolar_kernel import GatedPairs
 from ovmot.frontend.feature_search import Found, Sought, find_features
@@ -289,7 +289,7 @@ def test_wrong_matches_of_any_kind_are_rejected(
             now.uv[::5, 1] += 9.0
         return now
 
-    monkeypatch.setattr(stereo_tracker, "find_features", lying)
+    monkeypatch.setattr(right_search, "find_features", lying)
     with tracker_of(painted_rig) as tracker:
         for i, frame in enumerate(frames):
             seen, matches = tracker.track(
@@ -398,3 +398,19 @@ def test_without_any_picture_nothing_is_seen(painted_rig: StereoRig, painted_pai
         seen, matches = tracker.track(dark, np.eye(4), no_feedback(painted_rig))
         assert len(seen) == 0 and len(matches.feature_id) == 0
         assert seen.pictures == (Picture.FLAT, Picture.FLAT)
+
+
+def test_by_flow_matches_are_found_off_the_epipolar_lines(
+    painted_rig: StereoRig, painted_pair: Pair
+) -> None:
+    """What examines the extrinsics must not take them for granted."""
+    n_refused = {"scan": 0, "flow": 0}
+    for search in n_refused:
+        settings = TRACKER.model_copy(update={"stereo_search": search})
+        with tracker_of(painted_rig, settings) as tracker:
+            for i in range(6):
+                frame = painted_pair(10**8 * i, STEP_M * i, 0.0, 6)  # 6 px too high
+                T = sideways(STEP_M if i else 0.0)
+                _, matches = tracker.track(frame, T, no_feedback(painted_rig))
+                n_refused[search] += int((~matches.accepted).sum())
+    assert n_refused["flow"] > 1.5 * n_refused["scan"]

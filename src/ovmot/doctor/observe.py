@@ -82,13 +82,15 @@ def observe(
 ) -> Observations:  # fmt: skip
     """Follow and match features through the stretches; `advance` hears how many frames are done.
 
-    Pairs that cannot be read are left out. Raises `DatasetError` where none can.
+    By optical flow, which takes nothing from the extrinsics: they are what is examined. Pairs that
+    cannot be read are left out. Raises `DatasetError` where none can.
     """
+    by_flow = settings.tracker.model_copy(update={"stereo_search": "flow"})
     seen: list[tuple[FrameMatches, ...]] = []
     images: list[ImageStatistics] = []
     broken: list[DatasetError] = []
     for first, last in stretches:
-        tracker = StereoTracker(sequence.rig, settings.tracker, settings.epipolar)
+        tracker = StereoTracker(sequence.rig, by_flow, settings.epipolar)
         stretch: list[FrameMatches] = []
         T_now_before = np.eye(4)  # as the last one
         with closing(tracker):

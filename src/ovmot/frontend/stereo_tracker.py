@@ -11,14 +11,14 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.corners import fine_cell_px, focus_mask
 from ovmot.frontend.epipolar import gate_matches, no_matches
 from ovmot.frontend.epipolar_kernel import GatedPairs, pair_up_compiled
-from ovmot.frontend.epipolar_scan import scan_epipolar
-from ovmot.frontend.feature_search import Sought, find_features, near_levels
+from ovmot.frontend.feature_search import Sought
 from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
 from ovmot.frontend.pictures import LastPictures, Pictures, judge_pictures
 from ovmot.frontend.positions import carried_positions
 from ovmot.frontend.prediction import median_flow_px, predict_right
 from ovmot.frontend.preprocessing import LEFT, RIGHT, View, preprocess
 from ovmot.frontend.right_alone import RightAlone, RightView
+from ovmot.frontend.right_search import RIGHT_SEARCHES, Pair
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import positions
 from ovmot.interfaces import Feedback
@@ -54,6 +54,7 @@ class StereoTracker:
         self._settings = settings
         self._epipolar = epipolar
         self._helper = helping_thread(threads)
+        self._search_right = RIGHT_SEARCHES[settings.stereo_search]
         ids = FeatureIds()
         self._left = KltTracker(settings, self._helper, ids)
         self._right_alone = RightAlone(settings, self._helper, ids)
@@ -155,25 +156,17 @@ class StereoTracker:
         self, left: View, right: View, points: TrackedPoints, cell_px: int
     ) -> tuple[GatedPairs, StereoMatches]:
         """The features, with accepted right halves only, and all tested pairs."""
-        # predict the right position by the depth of the point; where it has none, by the best fit
-        # along its epipolar curve, else by the depths of those around it or by a disparity of half
-        # a fine cell
+        # predict the right position by the depth of the point, or of those around it; where none
+        # is known, by a disparity of half a fine cell
         default = self._rig.baseline * left.camera.fx / (0.5 * cell_px)
         start = predict_right(points.uv, points.xy, points.depth, default, self._rig)
-        unknown = np.isnan(points.depth)
-        scanned, ambiguous = scan_epipolar(left, right, points, unknown, self._rig)
-        placed = np.isfinite(scanned[:, 0])
-        start[placed] = scanned[placed]
-        # the patch as it is seen in the left image, sought in the right one; by itself, without
-        # flow, where a scan has led to it, or where flow has led to none before
+        # the patch as it is seen in the left image, sought in the right one
         sought = Sought(left.pyramid, points.uv, self._left.patches, points.slot)
-        alone = placed | (unknown & (points.track_length > 0))
-        n_levels = np.where(alone, 0, near_levels(self._settings))
-        seen = find_features(sought, right, start, n_levels, self._helper)
-        found = seen.found & ~ambiguous
+        pair = Pair(left, right, points, self._rig)
+        seen = self._search_right(sought, pair, start, self._settings, self._helper)
         camera = right.camera
         pixels, normalized = pair_up_compiled(
-            points.uv, points.xy, seen.uv, camera.normalize(seen.uv), found,
+            points.uv, points.xy, seen.uv, camera.normalize(seen.uv), seen.found,
             right.compact_mask, camera.width, camera.height, right.pyramid.window // 2,
         )  # fmt: skip
         # epipolar gate on every pair
