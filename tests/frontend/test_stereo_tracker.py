@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -400,17 +401,19 @@ def test_without_any_picture_nothing_is_seen(painted_rig: StereoRig, painted_pai
         assert seen.pictures == (Picture.FLAT, Picture.FLAT)
 
 
-def test_by_flow_matches_are_found_off_the_epipolar_lines(
-    painted_rig: StereoRig, painted_pair: Pair
-) -> None:
-    """What examines the extrinsics must not take them for granted."""
-    n_refused = {"scan": 0, "flow": 0}
-    for search in n_refused:
+def test_what_repeats_itself_along_the_lines_is_not_matched(painted_rig: StereoRig) -> None:
+    """Columns that come again every 24 pixels, seen 8 pixels apart: near the left border, where one
+    place alone is in the right image, there is a match, and it is right."""
+    rng = np.random.default_rng(8)
+    tile = cv2.GaussianBlur(rng.uniform(0.0, 255.0, (240, 24)), (0, 0), 1.5)
+    wall = np.tile(np.clip(128.0 + 4.0 * (tile - 128.0), 0.0, 255.0).astype(np.uint8), 15)
+    frame = StereoFrame(0, wall[:, :320].copy(), wall[:, 8:328].copy())
+    disparity = {}
+    for search in ("scan", "flow"):
         settings = TRACKER.model_copy(update={"stereo_search": search})
         with tracker_of(painted_rig, settings) as tracker:
-            for i in range(6):
-                frame = painted_pair(10**8 * i, STEP_M * i, 0.0, 6)  # 6 px too high
-                T = sideways(STEP_M if i else 0.0)
-                _, matches = tracker.track(frame, T, no_feedback(painted_rig))
-                n_refused[search] += int((~matches.accepted).sum())
-    assert n_refused["flow"] > 1.5 * n_refused["scan"]
+            seen, _ = tracker.track(frame, np.eye(4), no_feedback(painted_rig))
+        matched = seen.pixels[np.isfinite(seen.pixels[:, 2])]
+        disparity[search] = matched[:, 0] - matched[:, 2]
+    assert len(disparity["flow"]) > 5 * len(disparity["scan"]) > 25
+    np.testing.assert_allclose(disparity["scan"], 8.0, atol=0.2)
