@@ -17,6 +17,9 @@ PIXEL_SIGMA = 0.4
 
 Of sub-pixel registration of patches by Lucas-Kanade on real images (S. Baker & I. Matthews, IJCV
 2004, find some tenths of a pixel)."""
+LENS_SIGMA_PX = 0.25
+"""Of where a lens model puts a feature, common to those around it: good calibrations leave 0.1 to
+0.3 pixel of reprojection error (P. Furgale et al., Kalibr; Z. Zhang, PAMI 2000: 0.3)."""
 LEAST_MATCH_SIGMA_PX = 0.1
 """Standard deviation that least squares matching of natural texture reaches at best, a tenth of a
 pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogrammetry 14, 1985)."""

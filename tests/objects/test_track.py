@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from object_fixtures import FRAME_NS, frame_of, make_body, make_track, measurement, scene_points
 
+from ovmot.geometry.arrays import IntArray
 from ovmot.objects.body import advance
+from ovmot.objects.body_step_kernel import FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.track import (
     TrackState,
@@ -14,6 +16,7 @@ from ovmot.objects.track import (
     found_again,
     horizontal_variance,
     measured_track,
+    moves_for_sure,
     start_track,
 )
 from ovmot.settings import ObjectTrackSettings
@@ -87,3 +90,32 @@ def test_found_again_a_track_has_its_size_and_another_body() -> None:
     assert found.track_id == track.track_id
     np.testing.assert_allclose(found.size, track.size, atol=1e-3)
     assert found.feature_id.tolist() == [5]
+
+
+@pytest.mark.parametrize(
+    ("velocity", "age_s", "sure"),
+    [
+        ((3.4, 0.0, 0.0), 0.0, False),  # 1 m at 14 m: half a pixel of disparity
+        ((0.0, 3.4, 0.0), 0.0, True),
+        ((9.0, 0.0, 0.0), 0.0, True),
+        ((3.4, 0.0, 0.0), 1.0, True),  # since its birth it has come farther
+    ],
+)
+def test_a_motion_along_the_ray_must_be_more_than_lenses_err(
+    velocity: tuple[float, float, float], age_s: float, sure: bool
+) -> None:
+    seen = measurement((14.0, 0.0, 1.6), velocity, range(9), span_s=0.3)
+    frame = frame_of(scene_points([]))
+    born_ns = frame.timestamp_ns - round(1e9 * age_s)
+    assert moves_for_sure(seen, born_ns, frame) is sure
+    track = make_track((14.0, 0.0, 1.6), velocity, state=TrackState.TENTATIVE, hits=1)
+    track = track._replace(born_ns=born_ns)
+    own = np.arange(9)
+    after = measured_track(track, seen, own, frame_with(own), ObjectTrackSettings())
+    assert after.state == (TrackState.CONFIRMED if sure else TrackState.TENTATIVE)
+
+
+def frame_with(ids: IntArray) -> FrameViews:
+    """A frame that sees these features 14 m ahead."""
+    p_cam0 = np.tile([0.0, 0.0, 14.0], (len(ids), 1))
+    return frame_of(scene_points([2] * len(ids), feature_id=ids, p_cam0=p_cam0))

@@ -12,7 +12,7 @@ from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box,
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.physics import gate
+from ovmot.physics import LENS_SIGMA_PX, gate
 from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
@@ -129,6 +129,24 @@ def is_conclusive(measurement: ObjectMeasurement) -> bool:
     return len(measurement.feature_id) >= _MANY_FEATURES and moves and across
 
 
+def moves_for_sure(measurement: ObjectMeasurement, born_ns: int, frame: FrameViews) -> bool:
+    """Is more seen of a motion, since a track was born and its measurement's span before, than the
+    lens models leave in doubt at both times in both cameras?
+
+    Their errors are common to features that are near each other: many of them know the distance no
+    better than one. In a corner where the calibration had no board, what stands seems to move along
+    its ray.
+    """
+    ray = measurement.position - frame.step.centre
+    distance = float(np.linalg.norm(ray))
+    moved_px = math.sqrt(2.0 * 2.0) * LENS_SIGMA_PX
+    seconds = measurement.span_s + 1e-9 * (frame.timestamp_ns - born_ns)
+    sigma_mps = moved_px * distance**2 / (frame.focal * frame.baseline * seconds)
+    C = measurement.covariance[3:, 3:] + (sigma_mps / distance) ** 2 * np.outer(ray, ray)
+    v = measurement.velocity
+    return float(v @ np.linalg.solve(C, v)) > gate(3, 0.99)
+
+
 def advance_track(track: Track, frame: FrameViews) -> Track:
     """The track predicted to a frame and updated by its features."""
     body = advance(track.body, frame)
@@ -174,9 +192,10 @@ def measured_track(
     dt = 1e-9 * (frame.timestamp_ns - track.measured_ns)
     hits = track.hits + 1
     evidence = track.evidence + min(dt, settings.confirm_s)
+    often = hits >= settings.confirm_hits and evidence >= settings.confirm_s
+    often |= hits > 1 and len(measurement.feature_id) >= _MANY_FEATURES
     confirmed = track.state != TrackState.TENTATIVE
-    confirmed |= hits >= settings.confirm_hits and evidence >= settings.confirm_s
-    confirmed |= hits > 1 and len(measurement.feature_id) >= _MANY_FEATURES
+    confirmed |= often and moves_for_sure(measurement, track.born_ns, frame)
     return track._replace(
         state=TrackState.CONFIRMED if confirmed else TrackState.TENTATIVE,
         body=with_members(track.body, frame, own),
