@@ -59,6 +59,19 @@ def test_prepare_process_holds_blas_to_one_thread_after_numpy_was_imported() -> 
     assert output_of(code) == "{1}"
 
 
+def test_an_odometry_prepares_a_process_that_has_numpy_already() -> None:
+    code = (
+        "import numpy as np, ovmot; from threadpoolctl import threadpool_info;"
+        "camera = ovmot.Camera.make((320, 240), (200.0, 200.0), (160.0, 120.0));"
+        "right = np.eye(4); right[0, 3] = 0.3;"
+        "ovmot.Odometry(ovmot.StereoRig.make(camera, camera, np.eye(4), right));"
+        "import cv2;"
+        "blas = {i['num_threads'] for i in threadpool_info() if i['user_api'] == 'blas'};"
+        "print(blas, cv2.getNumThreads())"
+    )
+    assert output_of(code) == "{1} 1"
+
+
 def test_a_stage_entered_twice_is_added_up_and_stages_stay_apart() -> None:
     watch = Stopwatch()
     for _ in range(2):

@@ -38,7 +38,7 @@ from ovmot.interfaces import (
 from ovmot.kernels.cache import load_kept
 from ovmot.objects.moving_objects import MovingObjects
 from ovmot.physics import MEMS_NOISE, PIXEL_SIGMA
-from ovmot.runtime import Stopwatch
+from ovmot.runtime import Stopwatch, prepare_process
 from ovmot.segmentation.rig_body import (
     counted,
     no_rig_body,
@@ -76,6 +76,8 @@ STAGES = ("initialize", "propagate", "track", "segment", "update", "objects", "m
 
 class Odometry:
     """Stereo-inertial odometry with moving-object tracks, fed one event at a time.
+
+    It prepares its process (`prepare_process`): one thread for OpenCV and for BLAS.
 
     The front end of a frame runs on what is known two frames before it, so that with two threads it
     runs beside the later stages of the frame before. The results are the same bit for bit.
@@ -118,6 +120,7 @@ class Odometry:
         threads: int = 1,
         on_result: Callable[[FrameResult], None] | None = None,
     ) -> None:
+        prepare_process()
         settings = settings_in_use(settings or Settings(), rig)
         self._settings = settings
         self._initializer: Initializer = initializer or FilterInitializer(

@@ -15,6 +15,7 @@ from ovmot.objects.track import (
     advance_track,
     found_again,
     horizontal_variance,
+    lens_doubt,
     measured_track,
     moves_for_sure,
     start_track,
@@ -113,6 +114,21 @@ def test_a_motion_along_the_ray_must_be_more_than_lenses_err(
     own = np.arange(9)
     after = measured_track(track, seen, own, frame_with(own), ObjectTrackSettings())
     assert after.state == (TrackState.CONFIRMED if sure else TrackState.TENTATIVE)
+
+
+def test_a_turning_rig_leaves_more_in_doubt_across_the_ray() -> None:
+    """In a corner of the picture a lens may be off by a tenth of the way that it sees pass."""
+    frame, position = frame_of(scene_points([])), np.array([14.0, 0.0, 1.6])
+    turning = frame._replace(turn_rate_rps=0.5)
+    standing, doubt = (lens_doubt(position, 0.3, f) for f in (frame, turning))
+    np.testing.assert_allclose(np.diag(standing)[1:], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.diag(doubt)[1:], (0.1 * 0.5 * 14.0) ** 2)
+    assert doubt[0, 0] == pytest.approx(standing[0, 0])
+    seen = crossing(9, [0.0, 2.0, 0.0], [1.0, 0.1, 0.1])
+    seen = replace(seen, position=position)
+    body = make_body((14.0, 0.0, 1.6), (0.0, 2.0, 0.0), ids=range(9))
+    assert start_track(0, frame, seen, body).state == TrackState.CONFIRMED
+    assert start_track(0, turning, seen, body).state == TrackState.TENTATIVE
 
 
 def frame_with(ids: IntArray) -> FrameViews:

@@ -12,7 +12,7 @@ from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box,
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.measurement import ObjectMeasurement
-from ovmot.physics import LENS_SIGMA_PX, gate
+from ovmot.physics import LENS_SCALE_SIGMA, LENS_SIGMA_PX, gate
 from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
@@ -101,9 +101,10 @@ def start_track(
     heading = updated_heading(new_heading(), body, measurement.position, camera, 0.1)
     box = box_of(body, heading, np.zeros(3), camera)
     now_ns = frame.timestamp_ns
+    sure = is_conclusive(measurement) and moves_for_sure(measurement, now_ns, frame)
     return Track(
         track_id=track_id,
-        state=TrackState.CONFIRMED if is_conclusive(measurement) else TrackState.TENTATIVE,
+        state=TrackState.CONFIRMED if sure else TrackState.TENTATIVE,
         body=body,
         heading=heading,
         box=box,
@@ -131,20 +132,28 @@ def is_conclusive(measurement: ObjectMeasurement) -> bool:
 
 def moves_for_sure(measurement: ObjectMeasurement, born_ns: int, frame: FrameViews) -> bool:
     """Is more seen of a motion, since a track was born and its measurement's span before, than the
-    lens models leave in doubt at both times in both cameras?
-
-    Their errors are common to features that are near each other: many of them know the distance no
-    better than one. In a corner where the calibration had no board, what stands seems to move along
-    its ray.
-    """
-    ray = measurement.position - frame.step.centre
-    distance = float(np.linalg.norm(ray))
-    moved_px = math.sqrt(2.0 * 2.0) * LENS_SIGMA_PX
+    lens models leave in doubt?"""
     seconds = measurement.span_s + 1e-9 * (frame.timestamp_ns - born_ns)
-    sigma_mps = moved_px * distance**2 / (frame.focal * frame.baseline * seconds)
-    C = measurement.covariance[3:, 3:] + (sigma_mps / distance) ** 2 * np.outer(ray, ray)
+    C = measurement.covariance[3:, 3:] + lens_doubt(measurement.position, seconds, frame)
     v = measurement.velocity
     return float(v @ np.linalg.solve(C, v)) > gate(3, 0.99)
+
+
+def lens_doubt(position: FloatArray, seconds: float, frame: FrameViews) -> FloatArray:
+    """Covariance (3, 3) that lens models give to a velocity over some seconds, m²/s².
+
+    Their errors are common to features that are near each other: many of them know a motion no
+    better than one. In a corner where the calibration had no board, what stands seems to move along
+    its ray, by the disparity's error at both times in both cameras; and across it, by a share of
+    the way that the rig's turning takes it through the image.
+    """
+    ray = position - frame.step.centre
+    distance = float(np.linalg.norm(ray))
+    ray = ray / distance
+    moved_px = math.sqrt(2.0 * 2.0) * LENS_SIGMA_PX
+    along = moved_px * distance**2 / (frame.focal * frame.baseline * seconds)
+    across = LENS_SCALE_SIGMA * frame.turn_rate_rps * distance
+    return across**2 * np.eye(3) + (along**2 - across**2) * np.outer(ray, ray)
 
 
 def advance_track(track: Track, frame: FrameViews) -> Track:
