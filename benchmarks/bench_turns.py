@@ -1,6 +1,6 @@
 """Runs of the odometry and the floor's loop in turn, on one sequence in memory."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,18 +42,25 @@ class Turns:
     def stage_ms(self) -> dict[str, FloatArray]:
         """Milliseconds (N,) of each stage in each frame, the median over the runs."""
         return {
-            name: np.median([run.stage_ms[name] for run in self.runs], axis=0)
+            name: _median_of([run.stage_ms[name] for run in self.runs])
             for name in self.runs[0].stage_ms
         }
 
     @property
     def frame_ms(self) -> FloatArray:
         """Milliseconds (N,) of all stages of each frame, the median over the runs."""
-        return np.asarray(np.median([run.frame_ms for run in self.runs], axis=0))
+        return _median_of([run.frame_ms for run in self.runs])
 
     def median(self, name: str) -> float:
         """The median over the runs of one of their figures."""
         return float(np.median([getattr(run, name) for run in self.runs]))
+
+
+def _median_of(runs: Sequence[FloatArray]) -> FloatArray:
+    """The median (N,) over runs, frame by frame; of some, the first results came two at once, and
+    the steady state begins a frame later."""
+    n = min(len(values) for values in runs)
+    return np.asarray(np.median([values[-n:] for values in runs], axis=0))
 
 
 def take_turns(
