@@ -92,13 +92,7 @@ class MovingObjects:
         points = tracker.with_track_ids(segmentation.points)
         recent = history.younger(_STEADY_S)
         measurements = measure_objects(
-            recent,
-            points,
-            window,
-            rig,
-            self._settings,
-            self._of_points,
-            self._rng,
+            recent, points, window, rig, self._settings, self._of_points, self._rng
         )
         motions = self._history.add(now_ns, points, T_world_cam0)
         frame = views_now(history.now, motions, now_ns, window, self._before, rig, history.noise)

@@ -94,8 +94,8 @@ class ObjectTracker:
         # 5 drop lost tracks, update the sets of features, merge duplicates
         alive = [_missed(t, frame) for t in tracks if _is_alive(t, now_ns, settings)]
         hulls = hulls_of(alive)
-        held = with_exchanged_features(alive, hulls, motions, frame)
-        self._tracks = merge_duplicates(held, hulls)
+        tracks = with_exchanged_features(alive, hulls, motions, frame)
+        self._tracks = merge_duplicates(tracks, hulls)
         # 6 convert for the output, label the points
         self._held = held_by(self._tracks)
         owner = owners(self._held, are_seen(self._tracks), points.feature_id)
