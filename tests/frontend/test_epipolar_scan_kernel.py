@@ -8,7 +8,7 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.lens_kernel import packed_camera
 from ovmot.frontend.epipolar_scan_kernel import HALF, ScanRules, scan_curves_compiled
 from ovmot.geometry import se3, so3
-from ovmot.geometry.arrays import BoolArray, FloatArray, Image
+from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 
 MARGIN = 13
 RULES = ScanRules(least_depth=2.0, least=0.7, ratio=0.8, noise=2.0)
@@ -36,6 +36,47 @@ def scanned(
         padded(left), padded(right), MARGIN, uv, camera.normalize(uv), np.ones(len(uv), np.bool_),
         T, *packed_camera(camera), RULES,
     )  # fmt: skip
+
+
+def correlations(left: Image, right: Image, u: int, v: int, columns: IntArray) -> FloatArray:
+    """Of the window around (u, v) of the left image with those in the same row of the right one."""
+    rows = slice(v - HALF, v + HALF + 1)
+    a, scores = left[rows, u - HALF : u + HALF + 1].astype(np.float64), []
+    for x in columns.tolist():
+        b = right[rows, x - HALF : x + HALF + 1].astype(np.float64)
+        scores.append(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+    return np.array(scores)
+
+
+def test_best_and_second_best_place_are_those_of_all_correlations() -> None:
+    """The plain twin for pinholes side by side, where a curve is a row of the image."""
+    camera = Camera.make((320, 240), (250.0, 250.0), (160.0, 120.0))
+    left, other = texture(6, 120, 160), texture(7, 120, 160)
+    right = np.asarray(0.7 * np.roll(left, -7, axis=1) + 0.3 * other, dtype=np.uint8)
+    T, n_placed = se3.make(np.eye(3), np.array([-0.3, 0.0, 0.0])), 0
+    for u, v in [(60, 30), (75, 100), (90, 44), (110, 60), (130, 20), (140, 81), (100, 88)]:
+        uv = 2.0 * np.array([[u, v]], np.float64)
+        found, ambiguous = scanned(left, right, uv, T, camera)
+        reach = 0.5 * 250.0 * 0.3 / RULES.least_depth  # half-size pixels of disparity
+        columns = np.arange(int(np.floor(u - reach)) - 1, u + 2)
+        score = correlations(left, right, u, v, columns)
+        peaks = []
+        for k in range(1, len(score) - 1):
+            before, here, after = score[k - 1 : k + 2]
+            if here >= before and here > after:
+                bend, slope = before - 2.0 * here + after, 0.5 * (after - before)
+                height = min(here - 0.5 * slope**2 / bend, 1.0)
+                peaks.append((height, columns[k] - slope / bend))
+        (best, place), (second, _) = sorted([*peaks, (-1.0, 0.0), (-1.0, 0.0)])[:-3:-1]
+        assert np.isfinite(found[0]).all() == (best >= RULES.least)
+        if best < RULES.least:
+            continue
+        n_placed += 1
+        np.testing.assert_allclose(0.5 * found[0], (place, v), atol=1e-3)
+        window = left[v - HALF : v + HALF + 1, u - HALF : u + HALF + 1]
+        blur = RULES.noise**2 / window.astype(np.float64).var()
+        assert ambiguous[0] == (1.0 - best + blur > RULES.ratio**2 * (1.0 - second + blur))
+    assert n_placed > 3
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
