@@ -195,11 +195,8 @@ def scan_curves(
     of the right camera, see `lens_kernel.packed_camera`.
     """
     found, ambiguous = np.full((len(uv), 2), math.nan), np.zeros(len(uv), np.bool_)
-    height, width, longest = (
-        left.shape[0] - 2 * margin,
-        left.shape[1] - 2 * margin,
-        max(right.shape),
-    )
+    height, width = left.shape[0] - 2 * margin, left.shape[1] - 2 * margin
+    longest = max(right.shape)
     window, strip = np.empty((_SIDE, _SIDE), np.float32), np.empty((_SIDE, longest), np.float32)
     room, score = np.empty((2, longest), np.float32), np.empty(longest, np.float32)
     nodes = np.empty((_PIECES + 1, 2))

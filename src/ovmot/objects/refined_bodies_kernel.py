@@ -14,6 +14,7 @@ from ovmot.kernels.cache import code_folder, compiled, inlined_part, part
 from ovmot.kernels.small_matrices import invert_definite
 from ovmot.objects.body_views_kernel import BodyViews
 from ovmot.objects.refinement_kernel import Refined, WeightedViews, refine
+from ovmot.segmentation.history_kernel import inverse_motion
 
 _PRIOR_DOF = 20.0  # weight of the prior noise in the variance factor, degrees of freedom
 
@@ -138,12 +139,7 @@ def about_origin(
         out_of[a, 3] -= origin[a]
         out_of[3, a] = 0.0
     out_of[3, 3] = 1.0
-    for a in range(3):
-        into[a, 3] = 0.0
-        for c in range(3):
-            into[a, c] = out_of[c, a]
-            into[a, 3] -= out_of[c, a] * out_of[c, 3]
-    into[3, 3] = 1.0
+    inverse_motion(out_of, into)
 
 
 @part
