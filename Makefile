@@ -10,6 +10,8 @@ DOCS_STAMP := $(VENV)/.installed-docs
 PYTEST_FLAGS ?= -n auto --dist loadgroup
 # arguments of `make bench`
 BENCH ?=
+# Pythons for which `make wheel` compiles; PYTHON, if none is named
+WHEEL_PYTHONS ?=
 # processors that `make test-portable` computes as; all, if none is named
 PROCESSORS ?=
 
@@ -110,10 +112,8 @@ check: install ## lint, format, types, layers
 bench: install ## measure speed beside the floor of OpenCV alone (BENCH="--runs 3 FOLDER": see docs/performance.md)
 	$(BIN)/python benchmarks/bench.py $(BENCH)
 
-wheel: ## build dist/ovmot-*.whl and the source package
-	@tools=$$(mktemp -d) && trap 'rm -rf "$$tools"' EXIT && $(PYTHON) -m venv "$$tools" && \
-	"$$tools/bin/pip" install --quiet --disable-pip-version-check build && \
-	rm -rf dist && "$$tools/bin/python" -m build
+wheel: ## build dist/ovmot-*.whl with its compiled code, and the source package (WHEEL_PYTHONS="python3.12 python3.13": code for these)
+	$(PYTHON) .ci/build_wheel.py $(WHEEL_PYTHONS)
 
 test-wheel: wheel ## try the wheel in an empty environment and folder (PYTHON=python3.13: with another one)
 	$(PYTHON) .ci/try_wheel.py dist/*.whl

@@ -1,9 +1,11 @@
-"""Build hooks: the README as the package's own page, and the commit in the package.
+"""Build hooks: the README as the package's own page, the commit and compiled code in the package.
 
 A package page knows no file of the repository. `ovmot --version` prints the commit; a wheel that is
-built from an sdist takes the sdist's.
+built from an sdist takes the sdist's. Compiled code is that of the folder which the variable
+`OVMOT_COMPILED_CODE` names (`make wheel`).
 """
 
+import os
 import re
 import subprocess
 import tempfile
@@ -18,6 +20,7 @@ SOURCE_URL = "Source"
 `https://HOST/OWNER/ovmot/blob/main`."""
 
 _COMMIT_FILE = "ovmot/commit.txt"
+_COMPILED_CODE = "ovmot/kernels/shipped"  # `SHIPPED` of ovmot.kernels.cache
 _PICTURE = re.compile(r"!\[([^\]]*)\]\((?!https?:)([^)\s]+)\)\n?")
 _LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)([^)\s]+)\)")
 
@@ -51,14 +54,21 @@ def package_page(text: str, url: str | None) -> str:
     return _LINK.sub(lambda m: f"[{m[1]}]({base}/{m[2]})", text)
 
 
-class CommitHook(BuildHookInterface):  # type: ignore[type-arg]
-    """Puts `commit.txt` into the package."""
+class PackageHook(BuildHookInterface):  # type: ignore[type-arg]
+    """Puts `commit.txt` and compiled code into the package."""
 
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Called by hatchling before it packs; an editable install asks git when it is run."""
-        if version == "editable" or (Path(self.root) / "src" / _COMMIT_FILE).exists():
+        if version == "editable":
+            return
+        if self.target_name == "wheel" and "OVMOT_COMPILED_CODE" in os.environ:
+            code = Path(os.environ["OVMOT_COMPILED_CODE"])
+            for file in (file for file in code.rglob("*") if file.is_file()):
+                packed = f"{_COMPILED_CODE}/{file.relative_to(code)}"
+                build_data["force_include"][str(file)] = packed
+        if (Path(self.root) / "src" / _COMMIT_FILE).exists():
             return
         commit = self._commit()
         if commit is None:

@@ -10,13 +10,16 @@ import numba
 import pytest
 
 import ovmot
+from ovmot.kernels import cache as kept_code
 from ovmot.kernels.cache import (
+    CodeFolder,
     code_folder,
     code_folders,
     compiled,
     compiled_sources,
     has_code,
-    warm_stamp,
+    is_warm,
+    set_warm,
 )
 
 SCRIPT = """
@@ -131,15 +134,15 @@ def test_the_folder_follows_the_users_cache(
     source = tmp_path / "kernel.py"
     source.write_text("one")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "told"))
-    one = code_folder(source)
+    one = code_folder(source).own
     source.write_text("two")
-    two = code_folder(source)
+    two = code_folder(source).own
     assert one is not None and two is not None
     assert one.parent == two.parent == tmp_path / "told/ovmot"
     assert one != two
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    home = code_folder(source)
+    home = code_folder(source).own
     assert home is not None and home.parent == tmp_path / "home/.cache/ovmot"
 
 
@@ -149,7 +152,7 @@ def increment(x: int) -> int:
 
 def test_nothing_of_the_process_is_changed(tmp_path: Path) -> None:
     environment, folder_before = dict(os.environ), vars(numba.config)["CACHE_DIR"]
-    assert compiled(increment, tmp_path)(1) == 2
+    assert compiled(increment, CodeFolder(tmp_path, tmp_path / "none"))(1) == 2
     assert any(tmp_path.rglob("*.nbi"))
     assert dict(os.environ) == environment
     assert vars(numba.config)["CACHE_DIR"] == folder_before
@@ -163,18 +166,58 @@ def test_what_is_kept_is_counted_and_stamped(
     package.mkdir()
     source = package / "small_kernel.py"
     source.write_text(KERNEL.format("i"))
-    (folder,), stamp = code_folders(package), warm_stamp(package)
-    assert stamp is not None
+    (folder,) = code_folders(package)
+    assert folder.own is not None
     assert not has_code(folder)
-    (folder / "kernel.nbi").write_bytes(b"")
+    (folder.own / f"kernel-1.py{sys.version_info[0]}{sys.version_info[1]}.nbi").write_bytes(b"")
     assert has_code(folder)
+    assert not is_warm(package)
+    set_warm(package)
+    assert is_warm(package)
     source.write_text(KERNEL.format("i * i"))  # another version
     assert code_folders(package) != [folder]
-    assert warm_stamp(package) != stamp
+    assert not is_warm(package)
     source.write_text(KERNEL.format("i"))
-    assert warm_stamp(package) == stamp
+    assert is_warm(package)
     monkeypatch.setattr("numba.config.CPU_NAME", "nehalem")
-    assert warm_stamp(package) != stamp
+    assert not is_warm(package)
+
+
+def test_shipped_code_is_taken_and_the_rest_compiled(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the user has none, also where the user can keep none."""
+    run(folder, tmp_path / "builder")
+    shipped = tmp_path / "builder/ovmot"
+    script = f"""
+from pathlib import Path
+import ovmot.kernels.cache as cache
+cache.SHIPPED = Path({str(shipped)!r})
+{SCRIPT}"""
+    user, blocked = tmp_path / "user", tmp_path / "file"
+    blocked.write_text("no folder")
+    assert run(folder, user, script) == "1 2470"
+    assert run(folder, blocked, script) == "1 2470"
+    assert not list(user.rglob("*.nbi"))
+    assert run(folder, user, script, NUMBA_CPU_NAME="nehalem") == "0 2470"
+    assert list(user.rglob("*.nbi"))
+    for file in shipped.rglob("*.nb?"):
+        file.write_bytes(b"spoilt")
+    assert run(folder, user, script) == "0 2470"
+
+
+def test_a_shipped_stamp_says_that_nothing_is_to_be_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "small_kernel.py").write_text(KERNEL.format("i"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "builder"))
+    set_warm(package)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    assert not is_warm(package)
+    monkeypatch.setattr(kept_code, "SHIPPED", tmp_path / "builder/ovmot")
+    assert is_warm(package)
 
 
 def test_the_same_source_elsewhere_is_the_same_code(folder: Path, tmp_path: Path) -> None:
@@ -194,9 +237,9 @@ def test_another_version_of_numba_has_a_folder_of_its_own(
     """In one folder each would throw away what the other has compiled."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     usual = code_folder(folder / "small.py")
-    assert usual is not None
+    assert usual.own is not None
     monkeypatch.setattr(numba, "__version__", "0.0.1")
-    assert code_folder(folder / "small.py") not in (usual, None)
+    assert code_folder(folder / "small.py") != usual
 
 
 def test_the_key_covers_what_a_kernel_calls() -> None:

@@ -6,9 +6,13 @@ calls, and of numba's version: other text, other folder (numba's own check looks
 file alone, and two versions in one folder would throw away each other's code).
 numba adds Python's version and the processor to the key and writes each file in one move, so that
 several processes may share the folder.
+
+A wheel holds such folders too (`SHIPPED`, made by `make wheel`): where its numba, Python and
+processor are those of the user, nothing is compiled.
 """
 
 import contextlib
+import copy
 import functools
 import hashlib
 import os
@@ -18,35 +22,51 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
-import llvmlite.binding
 import numba
 import numba.core.caching
+
+from ovmot.kernels.processor import compile_for_common_processor, processor
+
+compile_for_common_processor()  # before the first decorator sets numba's compiler up
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _KEY_LENGTH = 16
 _PACKAGE = Path(__file__).parents[1]
 
+SHIPPED = Path(__file__).with_name("shipped")
+"""Compiled code that came with the package; missing in a clone."""
 
-def compiled(function: _F, folder: Path | None, *, reorder: bool = False) -> _F:
-    """numba's `njit` without Python's lock, its code kept in `folder` (None: in memory only).
+
+class CodeFolder(NamedTuple):
+    """Where one file's compiled code is kept: by the user, None where nothing can be written, and
+    by the package."""
+
+    own: Path | None
+    shipped: Path
+
+
+def compiled(function: _F, folder: CodeFolder | None, *, reorder: bool = False) -> _F:
+    """numba's `njit` without Python's lock, its code taken from `folder` and kept there
+    (None: in memory only).
 
     `reorder`: sums may be added up in another order, as several lanes at once need it; the order is
     the same each time, and NaN and infinity keep their meaning.
     """
-    if folder is None:
+    if folder is None or (folder.own is None and not folder.shipped.is_dir()):
         return _njit(function, cache=False, reorder=reorder)
     config = vars(numba.config)
     before = config["CACHE_DIR"]
-    config["CACHE_DIR"] = str(folder)  # read while decorating, and only then
+    # read while decorating, and only then: numba wants a folder that it may write to
+    config["CACHE_DIR"] = str(folder.own or tempfile.gettempdir())
     try:
         dispatcher: Any = _njit(function, cache=True, reorder=reorder)
     except RuntimeError:  # numba found no place that it may write to
         return _njit(function, cache=False, reorder=reorder)
     finally:
         config["CACHE_DIR"] = before
-    dispatcher._cache = _Forgiving(dispatcher._cache, folder)
+    dispatcher._cache = _KeptCode(dispatcher._cache, folder)
     return cast(_F, dispatcher)
 
 
@@ -126,33 +146,47 @@ def load_kept(folders: tuple[str, ...]) -> None:
     modules = [module for name, module in list(sys.modules.items()) if name.startswith(names)]
     for value in [value for module in modules for value in vars(module).values()]:
         cache = getattr(value, "_cache", None)
-        if isinstance(cache, _Forgiving):
+        if isinstance(cache, _KeptCode):
             for signature in cache.kept(value.targetctx):
                 value.compile(signature)
 
 
-def code_folders(package: Path) -> list[Path]:
-    """Those of all `*_kernel.py` of this folder, as far as they can be made."""
-    folders = (code_folder(source) for source in package.rglob("*_kernel.py"))
-    return [folder for folder in folders if folder is not None]
+def code_folders(package: Path) -> list[CodeFolder]:
+    """Those of all `*_kernel.py` of this folder."""
+    return [code_folder(source) for source in package.rglob("*_kernel.py")]
 
 
-def has_code(folder: Path) -> bool:
-    """Is some compiled code kept in it?"""
-    return any(folder.glob("*.nbi"))
+def has_code(folder: CodeFolder) -> bool:
+    """Is some compiled code kept in it, by the user or the package, for this Python?"""
+    places = (folder.own, folder.shipped)
+    ending = f"*.py{sys.version_info[0]}{sys.version_info[1]}*.nbi"  # as numba names it
+    return any(place is not None and any(place.glob(ending)) for place in places)
 
 
-def warm_stamp(package: Path) -> Path | None:
-    """The file whose presence says that all kernels of this folder are compiled and kept.
+def is_warm(package: Path) -> bool:
+    """Are all kernels of this folder compiled and kept, by the user or the package?"""
+    base, name = _cache_base(), _warm_name(package)
+    return (SHIPPED / name).exists() or (base is not None and (base / name).exists())
 
-    Its name is of their sources, of numba, Python and the processor. None where nothing is kept.
-    """
+
+def set_warm(package: Path) -> None:
+    """Note that they are, if that can be done."""
     base = _cache_base()
-    if base is None:
-        return None
+    if base is not None:
+        (base / _warm_name(package)).touch()
+
+
+def can_keep() -> bool:
+    """Is there a folder of the user's for compiled code?"""
+    return _cache_base() is not None
+
+
+def _warm_name(package: Path) -> str:
+    """A file's name, of the kernels' sources, of numba, Python and the processor."""
     kernels = package.rglob("*_kernel.py")
     sources = {part_of_it for kernel in kernels for part_of_it in compiled_sources(kernel)}
-    return base / f"warm-{_key_of(sources, numba.__version__, sys.version, *_processor())}"
+    python = sys.implementation.cache_tag or sys.version
+    return f"warm-{_key_of(sources, numba.__version__, python, *processor())}"
 
 
 def _key_of(sources: Iterable[Path], *texts: str) -> str:
@@ -161,25 +195,17 @@ def _key_of(sources: Iterable[Path], *texts: str) -> str:
     return hashlib.sha256(b"".join([*digests, *map(str.encode, texts)])).hexdigest()[:_KEY_LENGTH]
 
 
-def _processor() -> tuple[str, str]:
-    """What code is compiled for: name and features, as numba takes them."""
-    name, features = vars(numba.config)["CPU_NAME"], vars(numba.config)["CPU_FEATURES"]
-    if features is None:
-        features = llvmlite.binding.get_host_cpu_features().flatten()
-    return name or llvmlite.binding.get_host_cpu_name(), features
-
-
-class _Forgiving:
-    """numba's cache of one function, in a folder that stands for its source.
+class _KeptCode:
+    """numba's cache of one function, in folders that stand for its source.
 
     numba's own folder and stamp are of the source's path and time, so that the same text in another
     environment would be compiled again. A spoilt file or a full disk is as good as no cache.
     """
 
-    def __init__(self, inner: Any, folder: Path) -> None:
-        inner._cache_path = str(folder)
-        index: Any = numba.core.caching.IndexDataCacheFile
-        inner._cache_file = index(str(folder), inner._impl.filename_base, "")
+    def __init__(self, inner: Any, folder: CodeFolder) -> None:
+        self._own = None if folder.own is None else _in_folder(inner, folder.own)
+        shipped = _in_folder(inner, folder.shipped) if folder.shipped.is_dir() else None
+        self._places = [place for place in (shipped, self._own) if place is not None]
         self._inner = inner
 
     def __getattr__(self, name: str) -> Any:
@@ -187,41 +213,52 @@ class _Forgiving:
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """The compiled code, or None: then it is compiled anew."""
-        try:
-            return self._inner.load_overload(signature, target_context)
-        except Exception:  # whatever unpickling spoilt bytes may raise
-            return None
+        for place in self._places:
+            with contextlib.suppress(Exception):  # whatever unpickling spoilt bytes may raise
+                code = place.load_overload(signature, target_context)
+                if code is not None:
+                    return code
+        return None
 
     def kept(self, target_context: Any) -> list[Any]:
         """The signatures for which this source's code for this processor is kept."""
-        try:
-            keys = list(self._inner._cache_file._load_index())
-        except Exception:  # spoilt bytes
-            return []
-        key_of, codegen = self._inner._index_key, target_context.codegen()
-        return [key[0] for key in keys if key == key_of(key[0], codegen)]
+        codegen = target_context.codegen()
+        found: dict[Any, None] = {}
+        for place in self._places:
+            with contextlib.suppress(Exception):  # spoilt bytes
+                keys = list(place._cache_file._load_index())
+                found |= {key[0]: None for key in keys if key == place._index_key(key[0], codegen)}
+        return list(found)
 
     def save_overload(self, signature: Any, data: Any) -> None:
         """Keep compiled code, if that can be done."""
-        with contextlib.suppress(OSError, EOFError, pickle.PickleError):
-            self._inner.save_overload(signature, data)
+        if self._own is not None:
+            with contextlib.suppress(OSError, EOFError, pickle.PickleError):
+                self._own.save_overload(signature, data)
 
 
-def code_folder(source: Path) -> Path | None:
-    """The folder of the user's cache for the code compiled from this file; None if not writable.
+def _in_folder(cache: Any, folder: Path) -> Any:
+    """The same cache with its files in a folder."""
+    there = copy.copy(cache)
+    there._cache_path = str(folder)
+    index: Any = numba.core.caching.IndexDataCacheFile
+    there._cache_file = index(str(folder), cache._impl.filename_base, "")
+    return there
 
-    Its name holds a hash of numba's version and of all source texts that are compiled into the
+
+def code_folder(source: Path) -> CodeFolder:
+    """The folders for the code compiled from this file.
+
+    Their name holds a hash of numba's version and of all source texts that are compiled into the
     code: see `compiled_sources`.
     """
+    name = f"{source.stem}-{_key_of(compiled_sources(source), numba.__version__)}"
     base = _cache_base()
-    if base is None:
-        return None
-    try:
-        folder = base / f"{source.stem}-{_key_of(compiled_sources(source), numba.__version__)}"
-        folder.mkdir(exist_ok=True)
-        return folder
-    except OSError:  # no disk space
-        return None
+    with contextlib.suppress(OSError):  # no disk space
+        if base is not None:
+            (base / name).mkdir(exist_ok=True)
+            return CodeFolder(base / name, SHIPPED / name)
+    return CodeFolder(None, SHIPPED / name)
 
 
 def _cache_base() -> Path | None:

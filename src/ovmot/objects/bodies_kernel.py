@@ -289,7 +289,6 @@ def least_distance(measured: MeasuredBodies, p: FloatArray, body: int, other: in
 
 
 _FOLDER = code_folder(Path(__file__))
-velocity_distance_compiled = compiled(velocity_distance, _FOLDER)
 can_be_bodies_compiled = compiled(can_be_bodies, _FOLDER)
 distance_from_rest_compiled = compiled(distance_from_rest, _FOLDER)
 without_parts_compiled = compiled(without_parts, _FOLDER)

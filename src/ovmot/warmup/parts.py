@@ -6,6 +6,7 @@ of a part's kernels are another part's.
 
 import gc
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -23,13 +24,16 @@ from ovmot.physics import MEMS_NOISE
 from ovmot.settings import Settings
 from ovmot.sim.feature_odometry import feature_odometry
 from ovmot.sim.features import FeatureBody, FeatureOptions, FeatureRecording, FeatureSimulation
+from ovmot.sim.render import camera_rays, render_image
+from ovmot.sim.scene import Box, Scene, Texture
 from ovmot.sim.simulation import ImuModel
-from ovmot.types import FeatureFrame, ImuNoise, StereoFrame
+from ovmot.types import ImuNoise, StereoFrame
 from ovmot.vio.given_poses import GivenPoses, GivenPosesInitializer
 
 _ORIGIN_NS = 1_000_000_000
 _N_FRAMES = 30
 _STEP_M = 0.3
+_HIDDEN = range(15, 19)  # frames
 
 
 def call(name: str) -> None:
@@ -56,13 +60,11 @@ def call_front_end() -> None:
     tracker.close()
 
 
-def call_filter(max_landmarks: int = 0) -> None:
+def call_filter() -> None:
     """Propagation, updates and zero velocity, from features of points at rest."""
     recording = FeatureRecording(_simulation(), 0)
     settings = Settings(
-        segmentation={"enabled": False},
-        objects={"enabled": False},
-        filter={"max_landmarks": max_landmarks},
+        segmentation={"enabled": False}, objects={"enabled": False}, filter={"max_landmarks": 0}
     )
     odometry = feature_odometry(recording, settings)
     for event in recording.events():
@@ -70,13 +72,26 @@ def call_filter(max_landmarks: int = 0) -> None:
     odometry.finish()
 
 
-def call_slam_features() -> None:
-    """The same with SLAM features."""
-    call_filter(max_landmarks=25)
+def call_start_and_landmarks() -> None:
+    """A start from motion, and SLAM features for so long that they are anchored anew."""
+    simulation = _simulation(n_frames=60)
+    settings = Settings(segmentation={"enabled": False}, objects={"enabled": False})
+    odometry = Odometry(
+        simulation.rig,
+        simulation.imu.noise,
+        settings,
+        frontend=GivenFeatures(simulation.rig, settings.tracker, settings.epipolar),
+    )
+    for event in FeatureRecording(simulation, 0).events():
+        odometry.add(event)
+    odometry.finish()
 
 
 def call_objects() -> None:
-    """Segmentation and objects, from features at rest and of a moving body, by given poses."""
+    """Segmentation and objects, from features at rest and of a moving body, by given poses.
+
+    Something hides the body for a while, so that its track is lost and found again.
+    """
     t = np.linspace(-1.0, 0.1 * _N_FRAMES + 1.0, 60)
     body = np.eye(3), np.stack([8.0 + _STEP_M / 0.1 * t, 3.0 - 0.5 * t, 0.0 * t], axis=-1)
     path = PoseSpline.through(_stamps(t), se3.make(np.broadcast_to(body[0], (60, 3, 3)), body[1]))
@@ -92,17 +107,27 @@ def call_objects() -> None:
         ),
         frontend=GivenFeatures(simulation.rig, settings.tracker, settings.epipolar),
     )
-    for event in FeatureRecording(simulation, 1).events():
-        if isinstance(event, FeatureFrame):
-            odometry.add(event)
+    for k, observed in enumerate(FeatureRecording(simulation, 1).frames()):
+        seen = observed.object_id == 0 if k in _HIDDEN else slice(None)
+        frame = observed.frame
+        odometry.add(replace(frame, feature_id=frame.feature_id[seen], pixels=frame.pixels[seen]))
     odometry.finish()
+
+
+def call_simulator() -> None:
+    """A picture of a box."""
+    rig, texture = _rig(), Texture(mean=120.0, contrast=40.0, cell_m=0.5, seed=0)
+    box = Box(se3.make(np.eye(3), np.array([8.0, 0.0, 0.0])), np.ones(3), texture)
+    scene = Scene((box,), (), texture, texture, np.array([0.0, 0.0, 1.0]))
+    render_image(scene, camera_rays(rig.cam0), rig.T_imu_cam0, _ORIGIN_NS)
 
 
 PARTS: dict[str, Callable[[], None]] = {
     "objects": call_objects,
     "filter": call_filter,
     "front end": call_front_end,
-    "SLAM features": call_slam_features,
+    "start and SLAM features": call_start_and_landmarks,
+    "simulator": call_simulator,
 }
 """In the order in which they begin: what takes longest first, SLAM features after the filter."""
 
@@ -125,9 +150,9 @@ def _stamps(t: FloatArray) -> IntArray:
     return _ORIGIN_NS + np.round(1e9 * t).astype(np.int64)
 
 
-def _simulation(*bodies: FeatureBody) -> FeatureSimulation:
+def _simulation(*bodies: FeatureBody, n_frames: int = _N_FRAMES) -> FeatureSimulation:
     """The rig goes straight on, faster and slower."""
-    t = np.linspace(-1.0, 0.1 * _N_FRAMES + 1.0, 60)
+    t = np.linspace(-1.0, 0.1 * n_frames + 1.0, 2 * n_frames)
     position = np.stack([_STEP_M / 0.1 * t + 0.1 * np.sin(2.0 * t), 0.0 * t, 0.0 * t], axis=-1)
     path = PoseSpline.through(
         _stamps(t), se3.make(np.broadcast_to(np.eye(3), (len(t), 3, 3)), position)
@@ -135,5 +160,5 @@ def _simulation(*bodies: FeatureBody) -> FeatureSimulation:
     imu = ImuModel(200.0, ImuNoise(*MEMS_NOISE), np.zeros(3), np.zeros(3))
     options = FeatureOptions(n_features=120, pixel_sigma=0.3, depth_m=(4.0, 20.0))
     return FeatureSimulation(
-        _rig(), path, _stamps(np.arange(0.0, 0.1 * _N_FRAMES, 0.1)), imu, options, bodies
+        _rig(), path, _stamps(np.arange(0.0, 0.1 * n_frames, 0.1)), imu, options, bodies
     )

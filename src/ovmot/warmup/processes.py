@@ -15,10 +15,10 @@ from typing import Self
 
 import ovmot
 from ovmot.errors import OvmotError
-from ovmot.kernels.cache import code_folders, has_code, warm_stamp
+from ovmot.kernels.cache import can_keep, code_folders, has_code, is_warm, set_warm
 from ovmot.runtime import n_processors
 
-NAMES = ("objects", "filter", "front end", "SLAM features")
+NAMES = ("objects", "filter", "front end", "start and SLAM features", "simulator")
 """The keys of `warmup.parts.PARTS`, in the order in which they begin; not imported from there, so
 that the processes begin before what they need is loaded here."""
 
@@ -29,8 +29,7 @@ _LOOK_EVERY_S = 0.3
 
 def needs_warm_up() -> bool:
     """Is something to be compiled, and can it be kept?"""
-    stamp = warm_stamp(_package())
-    return stamp is not None and not stamp.exists()
+    return not is_warm(_package()) and can_keep()
 
 
 def warm_up() -> None:
@@ -61,9 +60,7 @@ class WarmUp(AbstractContextManager["WarmUp"]):
             self._begin_more()
             on_progress(sum(map(has_code, folders)), len(folders))
             time.sleep(_LOOK_EVERY_S)
-        stamp = warm_stamp(_package())
-        if stamp is not None:
-            stamp.touch()
+        set_warm(_package())
 
     def _begin_more(self) -> None:
         at_once = min(_AT_ONCE, n_processors())
