@@ -78,7 +78,8 @@ def run_calibration(folder: StrPath) -> RunCalibration:
     before, settings = read_kalibr(chain).rig, run.settings
     value = dict(zip(found.names, found.value[-1], strict=True))
     sigma = dict(zip(found.names, found.sigma[-1], strict=True))
-    calibration, variance = make_calibration(before, settings.calibration)
+    estimated = settings.calibration.model_copy(update={"lens_sigma_px": 0.0})
+    calibration, variance = make_calibration(before, estimated)
     names = calibration.names()
     prior = np.sqrt(variance)
     known = np.array([_is_observed(sigma[n], s) for n, s in zip(names, prior, strict=True)])
