@@ -1,7 +1,7 @@
 """What a run has found, as a chain: what is observed is written, what is not is kept."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ def run(tmp_path: Path) -> Path:
 
 def write_run(
     folder: Path, settings: Settings = SETTINGS, sure: tuple[str, ...] = SURE,
-    clock_sigma_s: float = 1e-4, n_cameras: int = 2,
+    clock_sigma_s: float = 1e-4, n_cameras: int = 2, found: Mapping[str, float] = FOUND,
 ) -> Path:  # fmt: skip
     """A run of one frame; of what it is sure, the sigma is a tenth of the prior's."""
     folder.mkdir()
@@ -44,7 +44,7 @@ def write_run(
     calibration, variance = make_calibration(rig, settings.calibration)
     names = calibration.names()
     sigma = [s * (0.1 if n in sure else 0.9) for n, s in zip(names, variance**0.5, strict=True)]
-    row = [0, *(FOUND.get(name, 0.0) for name in names), *sigma]
+    row = [0, *(found.get(name, 0.0) for name in names), *sigma]
     header = ["timestamp_ns", *names, *(f"std_{name}" for name in names)]
     lines = [",".join(header), ",".join(str(v) for v in row)]
     (folder / "calibration.csv").write_text("\n".join(lines) + "\n")
@@ -110,6 +110,23 @@ def test_nothing_observed_is_refused(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", sure=(), clock_sigma_s=0.004)
     with pytest.raises(InputError, match="has shown nothing of the calibration"):
         run_calibration(run)
+
+
+@pytest.mark.parametrize(("turn", "doubted"), [(0.03, False), (0.06, True)])
+def test_what_the_prior_does_not_allow_is_doubted(
+    ovmot_command: Callable[..., Any], tmp_path: Path, turn: float, doubted: bool
+) -> None:
+    """Three standard deviations of one of six coordinates are possible, six are not."""
+    run = write_run(tmp_path / "run", found={"cam0_pose_ry": turn})
+    chain = tmp_path / "chain.yaml"
+    assert ("cam0_pose_ry comes out 6.0 prior" in run_calibration(run).doubt) == doubted
+    said = ovmot_command("calibrate", run, "-o", chain)
+    assert said.code == (2 if doubted else 0)
+    assert chain.exists() != doubted
+    if doubted:
+        assert "--force writes anyway" in said.complaint
+        assert ovmot_command("calibrate", run, "-o", chain, "--force").code == 0
+        assert chain.exists()
 
 
 def test_nothing_estimated_is_refused(run: Path) -> None:

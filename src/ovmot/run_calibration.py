@@ -11,8 +11,10 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.datasets.calibration_export import WrittenCalibration, calibration_files, write_rig
 from ovmot.datasets.kalibr import CHAIN_FILE, read_kalibr
 from ovmot.errors import InputError
+from ovmot.geometry.arrays import FloatArray
 from ovmot.outputs.finished_run import Run
 from ovmot.outputs.run_reader import TIME_OFFSET, read_calibration
+from ovmot.physics import gate
 from ovmot.settings import Settings
 from ovmot.text_files import StrPath
 from ovmot.types import ImuNoise
@@ -27,6 +29,7 @@ from ovmot.vio.online_calibration import (
 
 OBSERVED_SHARE = 0.5
 """Observed is what is known twice as well as before: the motion has told more than the files."""
+_POSSIBLE = 0.9999  # probability that a part stays in the gate of its prior, where that is right
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +49,15 @@ class CalibratedValue:
 
 @dataclass(frozen=True, slots=True)
 class RunCalibration:
-    """The rig that a run was given, that with all that was observed, and the values in between."""
+    """The rig that a run was given, that with all that was observed, and the values in between.
+
+    `doubt`: why these values should not be believed, empty where there is no reason.
+    """
 
     before: StereoRig
     after: StereoRig
     values: tuple[CalibratedValue, ...]
+    doubt: str = ""
 
 
 def refuse_existing_files(path: StrPath, with_noise: bool) -> None:
@@ -71,12 +78,13 @@ def run_calibration(folder: StrPath) -> RunCalibration:
     before, settings = read_kalibr(chain).rig, run.settings
     value = dict(zip(found.names, found.value[-1], strict=True))
     sigma = dict(zip(found.names, found.sigma[-1], strict=True))
-    calibration, variance = make_calibration(before, settings.calibration)
+    estimated = settings.calibration.model_copy(update={"lens_sigma_px": 0.0})
+    calibration, variance = make_calibration(before, estimated)
     names = calibration.names()
     prior = np.sqrt(variance)
     known = np.array([_is_observed(sigma[n], s) for n, s in zip(names, prior, strict=True)])
-    kept = np.where(known, [value[n] for n in names], 0.0)
-    after = calibrated_rig(before, calibration.plus(kept))
+    deviation = np.array([value[n] for n in names])
+    after = calibrated_rig(before, calibration.plus(np.where(known, deviation, 0.0)))
     of_cameras: tuple[str, ...] = (MOUNT, STEREO, *CAMERA_INTRINSICS)
     if before.n_cameras == 1:
         of_cameras = (MOUNT, CAMERA_INTRINSICS[0])
@@ -95,7 +103,22 @@ def run_calibration(folder: StrPath) -> RunCalibration:
         raise InputError.at(run.folder, "the motion has shown nothing of the calibration", remedy)
     if clock is not None and clock.observed:
         after = replace(after, time_offset_s=clock.after)
-    return RunCalibration(before, after, tuple(rows))
+    return RunCalibration(before, after, tuple(rows), _doubt(calibration, deviation, prior))
+
+
+def _doubt(calibration: OnlineCalibration, deviation: FloatArray, prior: FloatArray) -> str:
+    """Which coordinate is farthest in the first part whose deviations (C,) are more than their
+    prior sigmas (C,) allow; empty where none is."""
+    ratio, names = np.abs(deviation / prior), calibration.names()
+    for part in calibration.parts:
+        own = ratio[part.columns]
+        if float(own @ own) > gate(len(own), _POSSIBLE):
+            worst = int(np.argmax(own))
+            return (
+                f"{names[part.columns.start + worst]} comes out {own[worst]:.1f} prior standard"
+                " deviations off the files: not a small error, or not one of the calibration"
+            )
+    return ""
 
 
 def _is_observed(sigma: float, prior: float) -> bool:

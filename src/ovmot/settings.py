@@ -128,6 +128,9 @@ class CalibrationSettings(Section):
     """Standard deviation of the baseline's length at the start, as a share of it."""
     focal_sigma_px: float = Field(3.0, gt=0.0)
     """Standard deviation of focal lengths and image centres at the start."""
+    lens_sigma_px: float | None = Field(None, ge=0.0)
+    """Standard deviation of the image centres where cameras are not calibrated online; left out:
+    0.25, as good calibrations leave; 0: exact, as in simulations."""
 
     @property
     def any(self) -> bool:

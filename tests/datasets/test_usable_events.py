@@ -74,6 +74,15 @@ def test_a_value_alone_between_its_neighbours_is_a_spike(axis: int) -> None:
     assert counts == {"imu_spikes": 1}
 
 
+def test_spikes_to_either_side_in_a_row_are_all_left_out() -> None:
+    """As of a link that spoils single values; found in an hour of faults: the attitude went off."""
+    values = noisy(400)
+    values[300:303, 1] = [30.0, -30.0, 600.0]
+    out, counts = used(sample(k, v) for k, v in enumerate(values))
+    assert stamps(out, ImuSample) == [*range(300), *range(303, 400)]
+    assert counts == {"imu_spikes": 3}
+
+
 def test_a_jolt_of_several_samples_and_a_new_level_are_none() -> None:
     values = noisy(600)
     values[300:304, 5] += [60.0, 150.0, 110.0, 40.0]

@@ -85,20 +85,39 @@ def turn_right_camera(root: Path) -> None:
     """The right camera's pose, wrong by 2 degrees about its x axis."""
     _, right = poses_of(root)
     right[:3, :3] = right[:3, :3] @ so3.exp(np.radians([2.0, 0.0, 0.0]))
-    write_right_pose(root, right)
+    write_pose(root, "cam1", right)
+
+
+def permute_axes(root: Path) -> None:
+    """Both cameras' axes as if z were up, as those of the IMU often are."""
+    turn_both_cameras(root, np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+
+
+def tilt_both_cameras(root: Path) -> None:
+    """Both cameras turned by 20 degrees about the optical axis of the left one."""
+    turn_both_cameras(root, so3.exp(np.radians([0.0, 0.0, 20.0])))
+
+
+def turn_both_cameras(root: Path, R: FloatArray) -> None:
+    """The left camera's pose on the IMU turned by R (3, 3) about its own axes, the right along."""
+    left, right = poses_of(root)
+    turned = left.copy()
+    turned[:3, :3] = left[:3, :3] @ R
+    write_pose(root, "cam0", turned)
+    write_pose(root, "cam1", turned @ np.linalg.inv(left) @ right)
 
 
 def invert_right_pose(root: Path) -> None:
     """The right camera as far to the left of the left one as it is to its right."""
     left, right = poses_of(root)
-    write_right_pose(root, left @ np.linalg.inv(right) @ left)
+    write_pose(root, "cam1", left @ np.linalg.inv(right) @ left)
 
 
 def lengthen_baseline(root: Path) -> None:
     """The right camera 1.3 times as far from the left one as it is."""
     left, right = poses_of(root)
     right[:3, 3] = left[:3, 3] + 1.3 * (right[:3, 3] - left[:3, 3])
-    write_right_pose(root, right)
+    write_pose(root, "cam1", right)
 
 
 def poses_of(root: Path) -> list[FloatArray]:
@@ -108,10 +127,10 @@ def poses_of(root: Path) -> list[FloatArray]:
     return [np.array(values).reshape(4, 4) for values in data]
 
 
-def write_right_pose(root: Path, T_imu_cam1: FloatArray) -> None:
-    path = root / "mav0" / "cam1" / "sensor.yaml"
+def write_pose(root: Path, camera: str, T_imu_cam: FloatArray) -> None:
+    path = root / "mav0" / camera / "sensor.yaml"
     sensor = yaml.safe_load(path.read_text())
-    sensor["T_BS"]["data"] = T_imu_cam1.ravel().tolist()
+    sensor["T_BS"]["data"] = T_imu_cam.ravel().tolist()
     path.write_text(yaml.safe_dump(sensor))
 
 
@@ -127,6 +146,6 @@ FAULTS: dict[str, Callable[[Path], None]] = {
     fault.__name__: fault
     for fault in (
         swap_sides, accel_in_g, gyro_in_degrees, accel_negated, clock_ahead, turn_right_camera,
-        invert_right_pose, lengthen_baseline, drop_frames,
+        invert_right_pose, lengthen_baseline, drop_frames, permute_axes, tilt_both_cameras,
     )
 }  # fmt: skip

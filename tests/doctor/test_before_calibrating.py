@@ -7,13 +7,27 @@ from typing import Any
 import pytest
 
 
-@pytest.mark.parametrize("fault", ["swap_sides", "invert_right_pose"])
+@pytest.mark.parametrize(
+    ("fault", "remedy"),
+    [
+        ("swap_sides", "recording.exchange_cameras=true"),
+        ("invert_right_pose", "T_BS"),
+        ("permute_axes", "from where the extrinsics put it; correct T_BS"),
+        ("tilt_both_cameras", "from where the extrinsics put it; correct T_BS"),
+        ("gyro_in_degrees", "the unit is °/s"),
+    ],
+)
 def test_a_mistake_of_the_rig_is_refused(
-    ovmot_command: Callable[..., Any], spoiled: Callable[[str], Path], tmp_path: Path, fault: str
+    ovmot_command: Callable[..., Any],
+    spoiled: Callable[[str], Path],
+    tmp_path: Path,
+    fault: str,
+    remedy: str,
 ) -> None:
     root, out = spoiled(fault), tmp_path / "chain.yaml"
     said = ovmot_command("calibrate", root, "-o", out, "--set", "objects.enabled=false")
     assert said.code == 2
+    assert remedy in said.complaint
     assert "--force writes anyway" in said.complaint
     assert not out.exists()
 

@@ -16,6 +16,7 @@ from ovmot.geometry.splines import PoseSpline
 from ovmot.initialization.bundle_adjustment import (
     AdjustedWindow,
     bundle_adjust,
+    consider_covariance,
     keyframe_pixels,
     reproject_points,
     robustly_weighted,
@@ -222,3 +223,20 @@ def test_without_points_that_fit_it_refuses(trial: Callable[[int], Trial]) -> No
     drive.pixels = drive.pixels[:5]
     with pytest.raises(InitializationError, match=r"\d of 5 points fit .*\(at least 8\)"):
         drive.adjusted()
+
+
+def test_what_is_considered_is_in_the_covariance() -> None:
+    """Least squares of x by J x + D c + n, c ignored: the errors are linear in c and n."""
+    rng = np.random.default_rng(8)
+    A = rng.normal(size=(30, 9))
+    considered, variance = slice(4, 6), np.array([0.3, 2.0])
+    free = np.ones(9, dtype=np.bool_)
+    free[considered], free[8] = False, False
+    found = consider_covariance(A.T @ A, free, considered, variance)
+    by_noise = -np.linalg.pinv(A[:, free])  # of x - x_found
+    by_considered = by_noise @ A[:, considered]
+    expected = by_noise @ by_noise.T + (by_considered * variance) @ by_considered.T
+    np.testing.assert_allclose(found[np.ix_(free, free)], expected, atol=1e-12)
+    np.testing.assert_allclose(found[free, considered], by_considered * variance, atol=1e-12)
+    np.testing.assert_array_equal(found[considered, considered], np.diag(variance))
+    assert not found[8].any()

@@ -54,7 +54,7 @@ def test_the_update_is_that_of_the_plain_twin(state: State, m: int, scale: float
     plain = innovation_consistency(state, H, residual, columns, distance, dof, gated)
     bounds = multiplier * gates(4, 0.95)[dof]
     passed, weight, error, covariance = update_by_landmarks_compiled(
-        state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
+        state.covariance, H, residual, N_BASE, state.considered, dof, bounds, VELOCITY_BOUND
     )
     np.testing.assert_array_equal(passed, gated)
     assert not passed[[4, 10]].any()

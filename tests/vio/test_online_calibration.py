@@ -11,10 +11,12 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
+from ovmot.physics import LENS_SIGMA_PX
 from ovmot.settings import CalibrationSettings
 from ovmot.sim.imu import perfect_imu
 from ovmot.types import ImuNoise
 from ovmot.vio.integrators import INTEGRATORS
+from ovmot.vio.msckf_features import calibration_jacobians
 from ovmot.vio.online_calibration import (
     MOUNT,
     OnlineCalibration,
@@ -40,7 +42,7 @@ def deviating(rig: StereoRig, settings: CalibrationSettings = ALL) -> OnlineCali
 
 
 def test_only_what_is_switched_on_is_estimated(rig: StereoRig) -> None:
-    nothing, _ = make_calibration(rig, CalibrationSettings())
+    nothing, _ = make_calibration(rig, CalibrationSettings(lens_sigma_px=0.0))
     assert len(nothing) == 0
     assert calibrated_rig(rig, nothing) is rig
     assert imu_intrinsics(nothing) is None
@@ -52,6 +54,48 @@ def test_only_what_is_switched_on_is_estimated(rig: StereoRig) -> None:
     again = calibrated_rig(rig, everything)
     np.testing.assert_allclose(again.T_imu_cam1, rig.T_imu_cam1, atol=1e-15)
     np.testing.assert_array_equal(again.cam0.intrinsics, rig.cam0.intrinsics)
+
+
+def test_lenses_that_are_not_estimated_are_considered(rig: StereoRig) -> None:
+    """Their image centres, last, with the stated sigma; they are no part of what is reported."""
+    for settings in (CalibrationSettings(), CalibrationSettings(imu_intrinsics=True)):
+        calibration, variance = make_calibration(rig, settings)
+        n = len(calibration) - 4
+        assert (calibration.n_estimated, calibration.n_considered) == (n, 4)
+        np.testing.assert_array_equal(variance[n:], LENS_SIGMA_PX**2)
+        assert len(calibration.names()) == n
+        if n:
+            estimate = calibration_estimate(rig, calibration, np.diag(variance))
+            assert estimate.names == calibration.names()
+            np.testing.assert_array_equal(estimate.std, np.sqrt(variance[:n]))
+        else:
+            assert calibrated_rig(rig, calibration) is rig
+    for settings in (CalibrationSettings(extrinsics=True), CalibrationSettings(intrinsics=True)):
+        assert make_calibration(rig, settings)[0].n_considered == 0
+
+
+def test_visual_jacobians_of_considered_centers(
+    rig: StereoRig, make_state: Callable[..., State], central_differences: Derivative
+) -> None:
+    calibration, _ = make_calibration(rig, CalibrationSettings())
+    state = replace(make_state(np.random.default_rng(3), 2), calibration=calibration)
+    points = se3.apply(state.clones.T_world_imu[0], np.array([[6.0, 1.0, 0.4], [9.0, -2.0, 1.0]]))
+    pixels = np.random.default_rng(6).uniform(100.0, 500.0, (2, 2, 4))
+    found = linearize(state, rig, pixels, points, 0.7).H[..., :4]
+
+    def residual(error: FloatArray) -> FloatArray:
+        cameras = []
+        for side, camera in enumerate(rig.cameras):
+            intrinsics = camera.intrinsics.copy()
+            intrinsics[2:4] += error[2 * side : 2 * side + 2]
+            cameras.append(replace(camera, intrinsics=intrinsics))
+        moved = replace(rig, cam0=cameras[0], cam1=cameras[1])
+        return linearize(state, moved, pixels, points, 0.7).residual.ravel()
+
+    expected = -central_differences(residual, np.zeros(4))
+    np.testing.assert_allclose(found.reshape(-1, 4), expected, atol=1e-6)
+    by_kernel = calibration_jacobians(state.clones, rig, points, calibration)
+    np.testing.assert_array_equal(by_kernel, np.broadcast_to(np.eye(4), by_kernel.shape))
 
 
 @pytest.mark.parametrize("lens", ["radtan", "equidistant", "none"])

@@ -8,7 +8,10 @@ import pytest
 from plain_msckf import compress
 from scipy.stats import chi2
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.settings import CalibrationSettings
+from ovmot.vio.online_calibration import make_calibration
 from ovmot.vio.state import State, box_minus
 from ovmot.vio.update import (
     ekf_update,
@@ -43,6 +46,28 @@ def test_update_is_that_of_the_information_form(make_state: MakeState) -> None:
         box_minus(updated, state), P @ H_full.T @ (residual / variance), atol=1e-9
     )
     assert np.trace(P) < 0.9 * np.trace(state.covariance)
+
+
+def test_what_is_considered_has_no_gain(make_state: MakeState, rig: StereoRig) -> None:
+    """The covariance is that of Joseph's form, (I - K H) P (I - K H)ᵀ + K R Kᵀ, which holds for any
+    gain: here the optimal one without the rows of what is considered (S. F. Schmidt, 1966)."""
+    rng = np.random.default_rng(9)
+    calibration, variance = make_calibration(rig, CalibrationSettings())
+    state = make_state(rng, 2)
+    n = len(state.covariance) + len(variance)
+    A = rng.normal(size=(n, n))
+    state = replace(state, calibration=calibration, covariance=1e-2 * A @ A.T)
+    H, columns, residual, R = measurement(rng, n, 7, n)
+    updated = ekf_update(state, H, columns, residual, R)
+    H_full, P = np.empty((7, n)), state.covariance
+    H_full[:, columns] = H
+    K = np.linalg.solve(H_full @ P @ H_full.T + np.diag(R), H_full @ P).T
+    K[slice(*state.considered)] = 0.0
+    left = np.eye(n) - K @ H_full
+    joseph = left @ P @ left.T + (K * R) @ K.T
+    np.testing.assert_allclose(updated.covariance, joseph, atol=1e-9)
+    np.testing.assert_allclose(box_minus(updated, state), K @ residual, atol=1e-9)
+    assert not updated.calibration.deviation.any()
 
 
 def test_two_updates_are_one(make_state: MakeState) -> None:

@@ -1,12 +1,16 @@
 """The compiled algebra of an update against plain NumPy."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from plain_msckf import velocity_distance
 
+from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray
+from ovmot.settings import CalibrationSettings
+from ovmot.vio.online_calibration import make_calibration
 from ovmot.vio.state import N_BASE, State, box_minus
 from ovmot.vio.update import ekf_update, innovation_factor, moved
 from ovmot.vio.update_kernel import innovation, nearest_first, update_if_consistent
@@ -19,24 +23,41 @@ def rows(rng: np.random.Generator, state: State, m: int) -> tuple[FloatArray, Fl
     return 10.0 * rng.normal(size=(m, len(state.covariance) - N_BASE)), rng.normal(size=m)
 
 
+def with_centers(rng: np.random.Generator, state: State, rig: StereoRig) -> State:
+    """The state with considered image centres, correlated with all else."""
+    calibration, _ = make_calibration(rig, CalibrationSettings())
+    n = len(state.covariance) + len(calibration)
+    A = 1e-2 * rng.normal(size=(n, n))
+    return replace(state, calibration=calibration, covariance=A @ A.T + 1e-5 * np.eye(n))
+
+
 def updated(
-    P: FloatArray, H: FloatArray, residual: FloatArray, bound: float = np.inf
+    P: FloatArray,
+    H: FloatArray,
+    residual: FloatArray,
+    bound: float = np.inf,
+    considered: tuple[int, int] = (0, 0),
 ) -> tuple[FloatArray, FloatArray] | None:
     """Error and covariance after an update; None where the velocity is beyond the bound."""
     m, n = len(H), len(P)
     HP, S, error, after = np.empty((m, n)), np.empty((m + 4, m)), np.empty(n), np.empty((n, n))
     innovation(P, H, N_BASE, HP, S)
-    done = update_if_consistent(P, HP, S, residual, bound, error, after)
+    done = update_if_consistent(P, HP, S, residual, considered, bound, error, after)
     return (error, after) if done else None
 
 
 @pytest.mark.parametrize("m", [1, 7, 40])
-def test_the_update_is_the_plain_one(make_state: MakeState, m: int) -> None:
+@pytest.mark.parametrize("considering", [False, True])
+def test_the_update_is_the_plain_one(
+    make_state: MakeState, rig: StereoRig, m: int, considering: bool
+) -> None:
     rng = np.random.default_rng(m)
     state = make_state(rng, 4)
+    if considering:
+        state = with_centers(rng, state, rig)
     H, residual = rows(rng, state, m)
     columns = np.arange(N_BASE, len(state.covariance))
-    found = updated(state.covariance, H, residual)
+    found = updated(state.covariance, H, residual, considered=state.considered)
     assert found is not None
     ours = moved(state, *found)
     plain = ekf_update(state, H, columns, residual, np.ones(m))
@@ -45,6 +66,12 @@ def test_the_update_is_the_plain_one(make_state: MakeState, m: int) -> None:
     np.testing.assert_allclose(ours.covariance / scale, plain.covariance / scale, atol=1e-9)
     np.testing.assert_allclose(box_minus(ours, plain) / deviation, 0.0, atol=1e-9)
     np.testing.assert_array_equal(ours.covariance, ours.covariance.T)
+    begin, end = state.considered
+    assert end - begin == (4 if considering else 0)
+    np.testing.assert_array_equal(
+        ours.covariance[begin:end, begin:end], state.covariance[begin:end, begin:end]
+    )
+    assert not ours.calibration.deviation.any()
 
 
 def test_numbers_that_break_down_are_an_error(make_state: MakeState) -> None:

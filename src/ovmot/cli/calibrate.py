@@ -47,7 +47,7 @@ def calibrate(
         bool,
         typer.Option(
             "--force",
-            help="Replace files that are there, and write what the stereo check refuses.",
+            help="Replace files that are there, and write what the checks refuse.",
         ),
     ] = False,
 ) -> None:
@@ -89,17 +89,21 @@ def calibrate(
 def _refuse_mistakes(recorded: "RecordedSequence", settings: "Settings", force: bool) -> None:
     """Raise `InputError` for a mistake that an estimate would hide: it corrects small errors."""
     from ovmot.cli.progress import progress
-    from ovmot.doctor.examine import sampled_frames, stereo_mistake
+    from ovmot.doctor.examine import mistake_beyond_refinement, sampled_frames
     from ovmot.doctor.fix import fix_over, set_options
 
     with interruptible(NOTHING_WRITTEN), progress("check", sampled_frames(recorded)) as advance:
-        found = stereo_mistake(recorded, settings, advance)
+        found = mistake_beyond_refinement(recorded, settings, advance)
     if found is None:
         return
     fix = set_options(fix_over(found.fix, settings))
-    line = f"{found.says}; {found.remedy}{f' ({fix})' if fix else ''}"
+    _refuse(recorded.root, f"{found.says}; {found.remedy}{f' ({fix})' if fix else ''}", force)
+
+
+def _refuse(source: Path, line: str, force: bool) -> None:
+    """Raise `InputError`, or only warn."""
     if not force:
-        raise InputError.at(recorded.root, line, "--force writes anyway")
+        raise InputError.at(source, line, "--force writes anyway")
     say(f"ovmot: warning: {line}")
 
 
@@ -108,6 +112,9 @@ def _write_found(data: Path, run: Path, out: Path, force: bool) -> None:
 
     found = run_calibration(run)
     show(calibration_table(found))
+    if found.doubt:
+        remedy = "correct what ovmot doctor finds, or T_cam_imu; widen calibration.*_sigma if it is"
+        _refuse(data, f"{found.doubt}; {remedy} no better known", force)
     _say_written(data, write_run_calibration(run, out, found, overwrite=force))
 
 

@@ -32,7 +32,7 @@ def usable_events(
     - `clock_set_back`: how often that was so for three in a row. What the rig did meanwhile is not
       known. A gap of more than `lost_after_gap_s`, for which more is left out
       (`events_after_clock`), tells the odometry to begin anew.
-    - `imu_spikes`: a value that is not finite or stands alone between its neighbours.
+    - `imu_spikes`: a value that is not finite, or far above or below both its neighbours.
     - `imu_saturated`: a value that stays the same at the end of a sensor's range.
     """
     yield from _plausible(_rising(events, counts, round(1e9 * lost_after_gap_s)), counts)
@@ -137,10 +137,11 @@ class _Scatter:
         self._n_samples = 0
 
     def is_spike(self, before: Reading, now: Reading, after: Reading) -> bool:
-        """Does a value stand alone between neighbours that are alike? It is averaged in.
+        """Is a value far above both its neighbours, or far below both? It is averaged in.
 
-        However values are distributed, fewer than p of them are farther than σ/√p (Chebyshev). A
-        spike counts as far as it is none.
+        However values are distributed, fewer than p of them are farther than σ/√p from the mean of
+        their neighbours (Chebyshev). A spike counts as far as it is none. The neighbour behind it
+        may be one itself: of two in a row, the one up and the other down, both are.
         """
         known = self._n_samples == _MEMORY
         self._n_samples += not known
@@ -148,7 +149,9 @@ class _Scatter:
         for k, variance in enumerate(self._variance):
             squared = (now[k] - 0.5 * (before[k] + after[k])) ** 2
             if known and squared > variance / _SPIKE_PROBABILITY:
-                spike = spike or 4.0 * (after[k] - before[k]) ** 2 < squared
+                rise, fall = now[k] - before[k], now[k] - after[k]
+                least = min(rise * rise, fall * fall)
+                spike = spike or (rise * fall > 0.0 and least > variance / _SPIKE_PROBABILITY)
                 squared = variance / _SPIKE_PROBABILITY
             averaged = variance + (squared - variance) / self._n_samples
             self._variance[k] = max(averaged, _LEAST_VARIANCE[k])

@@ -15,7 +15,7 @@ from ovmot.doctor.imu_units import (
     check_imu_saturation,
 )
 from ovmot.doctor.locations import Locations, locations_of
-from ovmot.doctor.observe import choose_stretches, observe
+from ovmot.doctor.observe import Observations, choose_stretches, observe
 from ovmot.doctor.report import Finding, Report, Severity, make_report
 from ovmot.doctor.stereo_geometry import beyond_correction, check_stereo
 from ovmot.doctor.stereo_scale import check_scale, fit_scale
@@ -75,22 +75,29 @@ def examine(
     return make_report(sequence.name, sequence.kind, findings)
 
 
-def stereo_mistake(
+def mistake_beyond_refinement(
     recorded: RecordedSequence,
     settings: Settings,
     advance: Callable[[int], None] = lambda done: None,
 ) -> Finding | None:
-    """Exchanged images, an inverted pose and the like: what no small correction makes good.
+    """What no small correction of the calibration makes good, None where there is nothing.
 
-    `settings`: with those of the preset. None also for a rig of one camera. Raises `DatasetError`
-    where no image can be read.
+    Exchanged images, an inverted pose and the like; of the IMU, what is wrong in its units, its
+    clock, its axes on the camera, and in the scale by stereo. `settings`: with those of the preset.
+    None also for a rig of one camera. Raises `DatasetError` where no image can be read.
     """
     sequence = corrected(recorded, settings.recording).of_pairs()
     if sequence.rig.n_cameras == 1 or len(sequence) == 0:
         return None
+    locations = locations_of(sequence.kind, None)
     stretches = choose_stretches(sequence.frame_ns, sequence.imu)
     seen = observe(sequence, stretches, settings, advance)
-    return beyond_correction(seen.matches, sequence.rig, locations_of(sequence.kind, None))
+    of_stereo = beyond_correction(seen.matches, sequence.rig, locations)
+    if of_stereo is not None:
+        return of_stereo
+    by_stereo = check_stereo(seen.matches, sequence.rig, locations)
+    findings = _with_imu(seen, sequence, by_stereo, settings, locations)
+    return next((found for found in findings if found.severity is Severity.WRONG), None)
 
 
 def examine_stretches(
@@ -106,21 +113,39 @@ def examine_stretches(
     Raises `DatasetError` where no image can be read.
     """
     seen = observe(sequence, stretches, settings, advance)
-    stereo_findings, rig = check_stereo(seen.matches, sequence.rig, locations)
+    by_stereo = check_stereo(seen.matches, sequence.rig, locations)
     findings = [
         *check_frame_times(sequence.frame_ns, sequence.counts),
         *check_images(seen.images),
         *check_readable(seen.broken, len(seen.images)),
-        *stereo_findings,
+        *by_stereo[0],
     ]
     if sequence.imu is None:
         findings.append(_no_imu(sequence, locations))
     else:
-        turns = camera_rotations(seen.stretches, rig)
         findings.append(check_coverage(len(sequence), sequence.counts))
-        findings += _imu_findings(sequence.imu, turns, rig, sequence.counts, settings, locations)
-        if not any(_hides_the_scale(finding) for finding in findings):
-            findings.append(_scale(sequence.imu, turns, rig, locations))
+        findings += _with_imu(seen, sequence, by_stereo, settings, locations)
+    return findings
+
+
+def _with_imu(
+    seen: Observations,
+    sequence: RecordedSequence,
+    by_stereo: tuple[list[Finding], StereoRig],
+    settings: Settings,
+    locations: Locations,
+) -> list[Finding]:
+    """The checks of the IMU, alone and against the images, none for a sequence without an IMU.
+
+    `by_stereo`: what the stereo matches say, and a rig that explains them.
+    """
+    imu, (of_stereo, rig) = sequence.imu, by_stereo
+    if imu is None:
+        return []
+    turns = camera_rotations(seen.stretches, rig)
+    findings = _imu_findings(imu, turns, rig, sequence.counts, settings, locations)
+    if not any(_hides_the_scale(finding) for finding in [*of_stereo, *findings]):
+        findings.append(_scale(imu, turns, rig, locations))
     return findings
 
 

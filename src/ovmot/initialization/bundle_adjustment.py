@@ -15,7 +15,7 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.errors import InitializationError
 from ovmot.geometry import se3
-from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.stereo_motion import MIN_POINTS
 from ovmot.geometry.triangulation import MAX_DEPTH_M, inverse_3x3
 from ovmot.initialization.factors import Factor
@@ -33,6 +33,7 @@ from ovmot.vio.msckf_features import DEPTH_RANGE_M, Reprojection, reproject
 from ovmot.vio.online_calibration import calibrated_rig
 from ovmot.vio.triangulation_kernel import triangulate_views_compiled
 
+_NOTHING = np.empty(0)
 _LOSS_SCALE = 1.5  # of the Geman-McClure loss, in units of the median error
 NormalEquations = tuple[FloatArray, FloatArray]
 """JᵀJ (N, N) and -Jᵀr (N,) of whitened residuals."""
@@ -57,18 +58,22 @@ def bundle_adjust(
     settings: FilterSettings,
     *,
     offset_is_free: bool,
+    considered: FloatArray = _NOTHING,
     max_iterations: int = 15,
     tolerance: float = 0.05,
 ) -> AdjustedWindow:
     """Adjust a window by points seen as `pixels` (F, K, 4), NaN where unseen.
 
     `factors` gives all factors beside the images; `rig`: that of the calibration files;
-    `offset_is_free`: whether the time offset is estimated. Steps end where their root mean square
-    is below the `tolerance`, in standard deviations. Raises `InitializationError` where too
-    few points can be triangulated, `LinAlgError` where the normal equations are singular.
+    `offset_is_free`: whether the time offset is estimated; `considered` (C,): prior variances of
+    the calibration's last coordinates, which are not (`consider_covariance`). Steps end where their
+    root mean square is below the `tolerance`, in standard deviations. Raises `InitializationError`
+    where too few points can be triangulated, `LinAlgError` where the normal equations are singular.
     """
     free = np.ones(window.size, dtype=np.bool_)
     free[OFFSET] = offset_is_free
+    known = slice(window.n_common - len(considered), window.n_common)
+    free[known] = False
     for _ in range(max_iterations):
         N, b, _, _ = _normal_equations(window, factors, pixels, rig, settings)
         step = np.zeros(window.size)
@@ -77,9 +82,27 @@ def bundle_adjust(
         if float(step @ N @ step) < tolerance**2 * window.size:
             break
     N, _, factor_rms, pixel_rms = _normal_equations(window, factors, pixels, rig, settings)
-    covariance = np.zeros_like(N)
-    covariance[np.ix_(free, free)] = np.linalg.inv(N[np.ix_(free, free)])
+    covariance = consider_covariance(N, free, known, considered)
     return AdjustedWindow(window, covariance, factor_rms, pixel_rms)
+
+
+def consider_covariance(
+    N: FloatArray, free: BoolArray, considered: slice, variance: FloatArray
+) -> FloatArray:
+    """Covariance (n, n) of an estimate of the coordinates `free` (n,) by normal equations N (n, n).
+
+    The considered ones keep their prior `variance` (C,), but what they do to the estimate is in it:
+    with S = -N_ff⁻¹ N_fc, P_ff = N_ff⁻¹ + S P_cc Sᵀ and P_fc = S P_cc (G. Bierman, "Factorization
+    Methods for Discrete Sequential Estimation", 1977, ch. 8).
+    """
+    P, unknown = np.zeros_like(N), np.flatnonzero(free)
+    P_ff = np.linalg.inv(N[np.ix_(unknown, unknown)])
+    S = -P_ff @ N[unknown, considered]
+    P[np.ix_(unknown, unknown)] = P_ff + (S * variance) @ S.T
+    P[unknown, considered] = S * variance
+    P[considered, unknown] = P[unknown, considered].T
+    P[considered, considered] = np.diag(variance)
+    return P
 
 
 def _normal_equations(

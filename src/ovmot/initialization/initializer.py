@@ -295,7 +295,7 @@ class _Start:
         no_frame = np.full((len(pixels), len(gyro) - len(guess.frames), 4), np.nan)
         return bundle_adjust(
             window, factors, np.concatenate([no_frame, pixels], axis=1), self.rig, settings.filter,
-            offset_is_free=sigma_s > 0.0,
+            offset_is_free=sigma_s > 0.0, considered=variance[calibration.n_estimated :],
         )  # fmt: skip
 
     def _features_for_filter(self, guess: InitialGuess) -> IntArray:

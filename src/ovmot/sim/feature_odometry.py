@@ -18,8 +18,12 @@ def feature_odometry(
     """Odometry that takes the recording's events and starts at its true state.
 
     `initial_sigmas` are the prior standard deviations of that start, `initial_rig` the calibration
-    that it is given in place of the true one.
+    that it is given in place of the true one. The image centres of the true one are exact, unless
+    the settings say otherwise.
     """
+    if initial_rig is None and settings.calibration.lens_sigma_px is None:
+        exact = settings.calibration.model_copy(update={"lens_sigma_px": 0.0})
+        settings = settings.model_copy(update={"calibration": exact})
     rig = initial_rig or recording.simulation.rig
     return Odometry(
         rig,

@@ -262,7 +262,7 @@ class MsckfFilter:
 
     def _calibration_estimate(self) -> CalibrationEstimate | None:
         calibration = self.state.calibration
-        if not len(calibration):
+        if not calibration.n_estimated:
             return None
         own = self.state.calibration_columns
         return calibration_estimate(self.rig, calibration, self.state.covariance[own, own])

@@ -145,6 +145,7 @@ def update_by_landmarks(
     H: FloatArray,
     residual: FloatArray,
     first: int,
+    considered: tuple[int, int],
     dof: IntArray,
     bounds: FloatArray,
     velocity_bound: float,
@@ -152,10 +153,10 @@ def update_by_landmarks(
     """One update by the landmarks that are consistent: passed, weight, error, covariance.
 
     `H` (L, m, k) and `residual` (L, m): whitened, rows of zeros where nothing was seen, over the
-    coordinates of `P` (N, N) from `first` on; `dof` (L,), `bounds` (L,): degrees of freedom and
-    gate of each squared distance. `passed` (L,): those that passed their own gate; `weight` (L,):
-    see `innovation_consistency`, all 0 where too few are consistent; the error vector (N,) and the
-    covariance (N, N) after the update.
+    coordinates of `P` (N, N) from `first` on; `considered`: see `update_if_consistent`; `dof` (L,),
+    `bounds` (L,): degrees of freedom and gate of each squared distance. `passed` (L,): those that
+    passed their own gate; `weight` (L,): see `innovation_consistency`, all 0 where too few are
+    consistent; the error vector (N,) and the covariance (N, N) after the update.
     """
     n_landmarks, m, n = H.shape
     HP, S = np.zeros((n_landmarks * m, len(P))), np.empty((n_landmarks * m, n_landmarks * m))
@@ -171,7 +172,7 @@ def update_by_landmarks(
     while kept >= max(min(_LEAST, candidates), 1):
         give_weights(ratio, order, kept, weight)
         rows, T, r = _weighted(HP, S, residual, weight, dof)
-        if update_if_consistent(P, rows, T, r, velocity_bound, error, updated):
+        if update_if_consistent(P, rows, T, r, considered, velocity_bound, error, updated):
             return passed, weight, error, updated
         kept //= 2
     weight[:] = 0.0

@@ -19,6 +19,7 @@ from ovmot.vio.innovation_consistency import VELOCITY_BOUND
 from ovmot.vio.msckf_kernel import update_by_features_compiled
 from ovmot.vio.online_calibration import (
     CAMERA_INTRINSICS,
+    CENTERS,
     MOUNT,
     STEREO,
     OnlineCalibration,
@@ -163,7 +164,8 @@ def consistent_features(
         points, pixels, calibration_jacobians(clones, rig, points, state.calibration),
         clones.T_world_imu, clones.T_world_imu_first,
         rig.T_cam_imu, *packed_cameras(rig),
-        settings.pixel_sigma, state.covariance, N_BASE, bounds, VELOCITY_BOUND,
+        settings.pixel_sigma, state.covariance, N_BASE,
+        state.calibration.n_considered, bounds, VELOCITY_BOUND,
     )  # fmt: skip
     return ConsistentFeatures(weight, error, covariance, PointRows(R, E))
 
@@ -197,6 +199,9 @@ def calibration_jacobian(
     columns = calibration.columns(CAMERA_INTRINSICS[side])
     if columns is not None:
         out[..., columns] = intrinsics_jacobian(rig.cameras[side], p_cam)
+    columns = calibration.columns(CENTERS)
+    if columns is not None:
+        out[..., columns] = np.eye(4)[2 * side : 2 * side + 2]
     return out
 
 
@@ -205,7 +210,9 @@ def calibration_jacobians(
 ) -> FloatArray:
     """∂pixel/∂(calibration) (F, K, 4, C) of world points (F, 3), by the first estimates."""
     out = np.zeros((len(points), len(clones), 4, len(calibration)))
-    if len(calibration):
+    if not calibration.n_estimated:
+        out[...] = np.eye(4, len(calibration))  # of image centres, or nothing
+    else:
         p_imu = se3.apply(se3.inverse(clones.T_world_imu_first)[None], points[:, None])
         for side, camera in enumerate(rig.cameras):
             T_cam_imu = se3.inverse((rig.T_imu_cam0, rig.T_imu_cam1)[side])

@@ -230,6 +230,7 @@ def update_by_features(
     sigma: float,
     P: FloatArray,
     first: int,
+    n_considered: int,
     bounds: FloatArray,
     velocity_bound: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -238,7 +239,8 @@ def update_by_features(
     `points` (F, 3) in world; `pixels` (F, K, 4), NaN where not to be used; `by_calibration`
     (F, K, 4, C): ∂pixel/∂(calibration); `T_now`, `T_first` (K, 4, 4): T_world_imu of the clones, by
     latest and first estimates; `T_cam_imu` (2, 4, 4); `lens`, `cameras`: see `packed_cameras`; `P`
-    (N, N), of which the calibration begins at `first` and the clones follow; `bounds` (4K + 1,):
+    (N, N), of which the calibration begins at `first` and the clones follow; `n_considered`: of the
+    calibration, the last coordinates, which no update changes; `bounds` (4K + 1,):
     gate of a feature's distance by its degrees of freedom.
 
     `weight` (F,): see `innovation_consistency`, all 0 where too few are consistent; the error
@@ -269,13 +271,14 @@ def update_by_features(
                 ratio[f] = math.sqrt(distance / dof)
     candidates = nearest_first(ratio, order)
     weight, error, updated = np.zeros(n_features), np.zeros(len(P)), np.empty(P.shape)
-    kept = candidates
+    kept, clones_at = candidates, first + by_calibration.shape[3]
+    considered = clones_at - n_considered, clones_at
     while kept >= max(min(_POINT, candidates), 1):
         give_weights(ratio, order, kept, weight)
         H, residual = compressed(_weighted_information(rows, clone, count, E, weight))
         HP, S = np.empty((len(H), len(P))), np.empty((len(H) + _POINT + 1, len(H)))
         innovation(P, H, first, HP, S)
-        if update_if_consistent(P, HP, S, residual, velocity_bound, error, updated):
+        if update_if_consistent(P, HP, S, residual, considered, velocity_bound, error, updated):
             return weight, error, updated, R, E
         if kept == candidates:  # which are the nearest half? Bounds do not tell
             for k in range(candidates):

@@ -6,6 +6,10 @@ The extrinsics are the mount, the left camera on the IMU, and the stereo pose, t
 the left one: the one is glued by users, the other by who built the rig, and scale hangs on it.
 The IMU's model is that of D. Tedaldi et al. (ICRA 2014) with the gyroscope's sensitivity to
 acceleration: a = A (a_m - b_a), ω = W (ω_m - S a - b_g), with measured a_m and ω_m.
+
+Where no camera is calibrated online, the image centres are considered (S. F. Schmidt, "Application
+of state-space methods to navigation problems", 1966; G. Bierman, "Factorization Methods", 1977,
+ch. 8): their errors are in the covariance, correlated with all else, but no update changes them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,14 +20,17 @@ from ovmot.cameras.camera import Camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.physics import LENS_SIGMA_PX
 from ovmot.settings import CalibrationSettings
 from ovmot.types import CalibrationEstimate
 
 MOUNT, STEREO = "cam0_pose", "stereo"
 CAMERA_INTRINSICS = ("cam0_lens", "cam1_lens")
+CENTERS = "centers"
 GYRO_MATRIX, ACCEL_MATRIX, G_SENSITIVITY = "gyro_matrix", "accel_matrix", "g_sensitivity"
 _UPPER = np.triu_indices(3)
 _FOCAL_AND_CENTER = 4
+_VIEW = 4  # pixel coordinates of a stereo view
 _LEAST_ACROSS = 1e-3
 _COORDINATES = {
     "pose": ("rx", "ry", "rz", "x", "y", "z"),
@@ -57,22 +64,31 @@ class CalibrationPart:
 class OnlineCalibration:
     """The parts being estimated, and their deviations (C,) from those of the files.
 
-    Units: rad and m (poses), px (focal lengths and centers), 1 (distortion, IMU matrices),
-    rad/s per m/s² (g-sensitivity). `baseline_axes` (3, 3): columns are the directions of the stereo
-    position's coordinates in the left camera: along the baseline, across it, and forward.
+    The last `n_considered` coordinates are considered: their deviations stay zero. Units: rad and m
+    (poses), px (focal lengths and centers), 1 (distortion, IMU matrices), rad/s per m/s²
+    (g-sensitivity). `baseline_axes` (3, 3): columns are the directions of the stereo position's
+    coordinates in the left camera: along the baseline, across it, and forward.
     """
 
     parts: tuple[CalibrationPart, ...] = ()
     deviation: FloatArray = field(default_factory=lambda: np.empty(0))
     baseline_axes: FloatArray = field(default_factory=lambda: np.eye(3))
+    n_considered: int = 0
 
     def __len__(self) -> int:
         return len(self.deviation)
 
+    @property
+    def n_estimated(self) -> int:
+        """Number of coordinates that updates change, the first ones."""
+        return len(self.deviation) - self.n_considered
+
     def names(self) -> tuple[str, ...]:
-        """A name for each of the C coordinates."""
+        """A name for each coordinate that is estimated."""
         out: list[str] = []
         for part in self.parts:
+            if part.columns.start >= self.n_estimated:
+                break
             size = part.columns.stop - part.columns.start
             labels = _COORDINATES.get(part.name.removeprefix("cam0_").removeprefix("cam1_"))
             out += [f"{part.name}_{labels[k] if labels else k}" for k in range(size)]
@@ -104,7 +120,11 @@ class ImuIntrinsics:
 def make_calibration(
     rig: StereoRig, settings: CalibrationSettings
 ) -> tuple[OnlineCalibration, FloatArray]:
-    """The parts that the settings switch on, without deviation, and their prior variances (C,)."""
+    """The parts that the settings switch on, without deviation, and their prior variances (C,).
+
+    And the image centres of both lenses where neither these nor the cameras' poses are estimated,
+    whose rotations move the picture as the centres do.
+    """
     sigmas: list[tuple[str, FloatArray]] = []
     if settings.extrinsics:
         pose = np.repeat([settings.rotation_sigma_rad, settings.position_sigma_m], 3)
@@ -119,12 +139,18 @@ def make_calibration(
         sigmas.append((ACCEL_MATRIX, np.full(6, _PRIOR_SIGMAS[ACCEL_MATRIX])))
     if settings.g_sensitivity:
         sigmas.append((G_SENSITIVITY, np.full(9, _PRIOR_SIGMAS[G_SENSITIVITY])))
+    center_px = LENS_SIGMA_PX if settings.lens_sigma_px is None else settings.lens_sigma_px
+    n_considered = 0
+    if not (settings.extrinsics or settings.intrinsics) and center_px > 0.0:
+        n_considered = _VIEW
+        sigmas.append((CENTERS, np.full(_VIEW, center_px)))
     parts, start = [], 0
     for name, sigma in sigmas:
         parts.append(CalibrationPart(name, slice(start, start + len(sigma))))
         start += len(sigma)
     variance = np.concatenate([np.empty(0), *(sigma**2 for _, sigma in sigmas)])
-    return OnlineCalibration(tuple(parts), np.zeros(start), _baseline_axes(rig)), variance
+    axes = _baseline_axes(rig)
+    return OnlineCalibration(tuple(parts), np.zeros(start), axes, n_considered), variance
 
 
 def _stereo_sigmas(rig: StereoRig, settings: CalibrationSettings) -> FloatArray:
@@ -145,7 +171,7 @@ def _baseline_axes(rig: StereoRig) -> FloatArray:
 
 def calibrated_rig(rig: StereoRig, calibration: OnlineCalibration) -> StereoRig:
     """The rig of the files with the deviations applied."""
-    if not calibration.parts:
+    if not calibration.n_estimated:
         return rig
     T_imu_cam0, T_imu_cam1 = rig.T_imu_cam0, rig.T_imu_cam1
     if calibration.columns(MOUNT) is not None:
@@ -199,12 +225,13 @@ def right_pose(
 def calibration_estimate(
     rig: StereoRig, calibration: OnlineCalibration, covariance: FloatArray
 ) -> CalibrationEstimate:
-    """All coordinates with their sigmas, and the right camera's pose on the IMU after the left's.
+    """All that is estimated, with sigmas; the right camera's pose on the IMU after the left's.
 
     `covariance` (C, C): that of the calibration; the deviations are those from `rig`.
     """
-    names, value = list(calibration.names()), calibration.deviation
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    names, n = list(calibration.names()), calibration.n_estimated
+    value = calibration.deviation[:n]
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))[:n]
     mount, stereo = calibration.columns(MOUNT), calibration.columns(STEREO)
     if mount is not None and stereo is not None:
         right, right_sigma = right_pose(rig, calibration, covariance)

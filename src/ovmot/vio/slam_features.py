@@ -97,7 +97,7 @@ def update_slam_features(
     H, residual, dof = landmark_system(state, rig, T_imu_anchor, pixels, sigma_px)
     bounds = chi2_multiplier * gates(4, 0.95)[dof]
     passed, weight, error, covariance = update_by_landmarks_compiled(
-        state.covariance, H, residual, N_BASE, dof, bounds, VELOCITY_BOUND
+        state.covariance, H, residual, N_BASE, state.considered, dof, bounds, VELOCITY_BOUND
     )
     rejections = state.landmarks.rejections + ((dof > 0) & ~passed)
     rejections[passed] = 0

@@ -1,9 +1,9 @@
 """The filter's state, its error coordinates and its box-plus.
 
 Error state, in order: IMU (rotation, position, velocity, gyro bias, accelerometer bias; 15),
-calibration (time offset; 1; then the parts that are estimated), clones (rotation, position; 6 each,
-oldest first), landmarks (SLAM features; 3 each, or 1). Rotation errors are on the right:
-R_true = R_est · exp(δθ); everything else is additive.
+calibration (time offset; 1; then the parts that are estimated, then what is only considered),
+clones (rotation, position; 6 each, oldest first), landmarks (SLAM features; 3 each, or 1). Rotation
+errors are on the right: R_true = R_est · exp(δθ); everything else is additive.
 """
 
 from dataclasses import dataclass
@@ -86,6 +86,11 @@ class State:
     def calibration_columns(self) -> slice:
         """Columns of the calibration that is estimated online, without the time offset."""
         return slice(N_BASE, self.first_clone)
+
+    @property
+    def considered(self) -> tuple[int, int]:
+        """First and one past the last of the coordinates that no update changes."""
+        return self.first_clone - self.calibration.n_considered, self.first_clone
 
     @property
     def clone_covariance(self) -> FloatArray:

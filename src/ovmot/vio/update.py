@@ -23,7 +23,8 @@ def ekf_update(
     `innovation_factor` of these where the caller has it already.
 
     With S = L Lᵀ and W = L⁻¹ H P, the gain is K = Wᵀ L⁻¹ and the covariance becomes P - Wᵀ W, which
-    stays symmetric, at the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4).
+    stays symmetric, at the cost of m N² (G. Golub & C. Van Loan, sec. 6.5.4). What is only
+    considered has no gain: its estimate and its own covariance stay (S. F. Schmidt, 1966).
     """
     if len(residual) == 0:
         return state
@@ -33,6 +34,8 @@ def ekf_update(
     W = solve_triangular(L, H @ P[columns], lower=True)
     covariance = P - W.T @ W
     error = W.T @ solve_triangular(L, residual, lower=True)
+    considered = slice(*state.considered)
+    error[considered], covariance[considered, considered] = 0.0, P[considered, considered]
     return box_plus(state, error, 0.5 * (covariance + covariance.T))
 
 

@@ -142,14 +142,16 @@ def update_if_consistent(
     HP: FloatArray,
     S: FloatArray,
     residual: FloatArray,
+    considered: tuple[int, int],
     velocity_bound: float,
     error: FloatArray,
     updated: FloatArray,
 ) -> bool:
     """Update by m rows of noise 1, unless the velocity that they ask for is beyond the bound.
 
-    `HP` (m, N), `S` (m + 4, m): see `innovation`; S is changed in place. The error vector (N,) and
-    the new covariance (N, N) are filled in; False, and they are not, beyond `velocity_bound`. As
+    `HP` (m, N), `S` (m + 4, m): see `innovation`; S is changed in place. `considered`: first and
+    one past the last of the coordinates that are only considered. The error vector (N,) and the new
+    covariance (N, N) are filled in; False, and they are not, beyond `velocity_bound`. As
     `update.ekf_update`: S = L Lᵀ, W = L⁻¹ H P, the covariance becomes P - Wᵀ W.
     """
     m, n = HP.shape
@@ -174,4 +176,8 @@ def update_if_consistent(
         for j in range(i + 1):
             value = 0.5 * (P[i, j] - updated[i, j] + P[j, i] - updated[j, i])
             updated[i, j], updated[j, i] = value, value
+    for i in range(considered[0], considered[1]):
+        error[i] = 0.0
+        for j in range(considered[0], considered[1]):
+            updated[i, j] = P[i, j]
     return True
