@@ -29,6 +29,9 @@ pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogra
 PATCH_DRIFT_PX = 0.15
 """Standard deviation by which a tracked patch drifts on what it shows, pixels, from frame to frame:
 a random walk."""
+SLIDE_SHARE = 0.05
+"""Probability that a patch lies on an edge between near and far, or along one, and slides with its
+neighbours there."""
 VARIANCE_FACTOR = 2.0
 """Errors of drifting patches persist from frame to frame. A covariance that takes them as
 independent is too small by about this factor; gates on what many frames say are wider by it."""

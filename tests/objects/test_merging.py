@@ -31,7 +31,7 @@ def test_a_duplicate_is_merged_after_some_frames() -> None:
 
 def test_a_young_duplicate_is_not_confirmed() -> None:
     old = make_track(ids=range(10), track_id=0)
-    young = make_track((0.5, 0.0, 0.0), ids=(20,), track_id=1, hits=2)
+    young = make_track((0.5, 0.0, 0.0), ids=(20,), track_id=1)
     _, kept = merged((old, young))
     assert (kept.state, kept.overlaps) == (TrackState.TENTATIVE, 1)
 

@@ -30,7 +30,9 @@ def merge_duplicates(tracks: Sequence[Track], hulls: Hulls) -> tuple[Track, ...]
         if older is None:
             out[k] = track._replace(overlaps=max(track.overlaps - 1, 0))
         elif track.overlaps + 1 < _MERGE_FRAMES:
-            young = track.state == TrackState.CONFIRMED and track.hits <= 2 * _MERGE_FRAMES
+            young = (
+                track.state == TrackState.CONFIRMED and track.updated_ns - track.born_ns < BESIDE_NS
+            )
             state = TrackState.TENTATIVE if young else track.state
             out[k] = track._replace(state=state, overlaps=track.overlaps + 1)
         else:
