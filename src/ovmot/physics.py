@@ -29,6 +29,9 @@ pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogra
 PATCH_DRIFT_PX = 0.15
 """Standard deviation by which a tracked patch drifts on what it shows, pixels, from frame to frame:
 a random walk."""
+SLIDE_SHARE = 0.05
+"""Probability that a patch lies on an edge between near and far, or along one, and slides with its
+neighbours there."""
 VARIANCE_FACTOR = 2.0
 """Errors of drifting patches persist from frame to frame. A covariance that takes them as
 independent is too small by about this factor; gates on what many frames say are wider by it."""
@@ -62,6 +65,9 @@ MANOEUVRE_S = 2.0
 (R. Singer, IEEE TAES 1970)."""
 YAW_RATE_SIGMA_RPS = 0.25
 """Standard deviation of a road user's yaw rate: the acceleration above across its way, at 6 m/s."""
+LEAST_HEADWAY_S = 0.5
+"""Vehicles that follow each other keep at least this time between them (M. Brackstone & M.
+McDonald, Transportation Research F 2, 1999, on car following)."""
 MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)

@@ -279,10 +279,10 @@ class ObjectSettings(Section):
 class ObjectTrackSettings(Section):
     """Tracks of moving bodies: how they move, and when they begin and end."""
 
-    confirm_hits: int = Field(3, ge=1)
-    """Measurements after which a track is confirmed."""
-    confirm_s: float = Field(0.15, ge=0.0)
-    """Time that they must span."""
+    false_alarm: float = Field(5e-3, gt=0.0, lt=0.5)
+    """Probability that a body at rest is confirmed: the sequential test's α."""
+    miss: float = Field(1e-3, gt=0.0, lt=0.5)
+    """Probability that a moving body is dropped, taken to rest: the test's β."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""
 

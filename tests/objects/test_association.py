@@ -34,7 +34,7 @@ def test_a_lost_track_is_found_by_what_is_rather_its_own_than_a_new_ones(
     track = track._replace(box=track.box._replace(covariance=P))
     seen = measurement((0.5, 0.2, 0.0), (3.1, 0.0, 0.0), ids=(50, 51))
     now_ns = track.measured_ns + 500_000_000
-    pairs = associate([track], [seen], np.zeros(1, np.bool_), now_ns)
+    pairs = associate([track], [seen], now_ns)
     assert pairs == ({0: 0} if found else {})
 
 
@@ -65,21 +65,6 @@ def test_a_measurement_of_another_tracks_features_is_not_associated() -> None:
     far = make_track((30.0, 0.0, 0.0), ids=(1, 2, 3), track_id=0)
     near = make_track((0.0, 0.0, 0.0), ids=(8,), track_id=1)
     seen = measurement((0.0, 0.0, 0.0), ids=(1, 2, 3))
-    in_view = np.zeros(2, dtype=np.bool_)
     now_ns = near.measured_ns + 100_000_000
-    assert associate([near, far], [seen], in_view, now_ns) == {}
-    assert associate([near, far], [measurement(ids=(20, 21, 22))], in_view, now_ns) == {0: 0}
-
-
-def test_out_of_view_only_a_conclusive_measurement_is_associated() -> None:
-    track = make_track(ids=(1, 2, 3))
-    now_ns = track.measured_ns + 100_000_000
-    few, many = measurement(ids=range(20, 23)), measurement(ids=range(20, 30))
-    for out_of_view, seen, expected in (
-        (True, few, {}),
-        (True, many, {0: 0}),
-        (False, few, {0: 0}),
-    ):
-        given = np.array([out_of_view])
-        assert associate([track], [seen], given, now_ns) == expected
-    assert associate([], [few], np.zeros(0, dtype=np.bool_), now_ns) == {}
+    assert associate([near, far], [seen], now_ns) == {}
+    assert associate([near, far], [measurement(ids=(20, 21, 22))], now_ns) == {0: 0}

@@ -1,6 +1,7 @@
 """Duplicates of a body are merged; bodies that move alike are not."""
 
 import numpy as np
+import pytest
 from object_fixtures import FRAME_NS, make_track
 
 from ovmot.objects.body_kernel import BodyState
@@ -31,7 +32,7 @@ def test_a_duplicate_is_merged_after_some_frames() -> None:
 
 def test_a_young_duplicate_is_not_confirmed() -> None:
     old = make_track(ids=range(10), track_id=0)
-    young = make_track((0.5, 0.0, 0.0), ids=(20,), track_id=1, hits=2)
+    young = make_track((0.5, 0.0, 0.0), ids=(20,), track_id=1)
     _, kept = merged((old, young))
     assert (kept.state, kept.overlaps) == (TrackState.TENTATIVE, 1)
 
@@ -56,6 +57,18 @@ def test_two_ends_of_a_lorry_are_one_body_and_two_cars_in_a_queue_are_two() -> N
     assert ids_after((lorry, end)) == [0]
     queue = make_track((8.0, 0.0, 0.0), ids=(90, 91), track_id=1)
     assert ids_after((make_track(track_id=0), queue)) == [0, 1]
+
+
+@pytest.mark.parametrize(("speed", "ids"), [(6.0, [0]), (1.0, [0, 1])])
+def test_no_vehicle_follows_another_as_near_as_parts_of_a_lorry_are(
+    speed: float, ids: list[int]
+) -> None:
+    """Seen side by side for a second, 2 m apart: at 6 m/s no headway, in a jam two vehicles."""
+    v = (speed, 0.0, 0.0)
+    lorry = make_track((0.0, 0.0, 0.0), v, range(9), 0, size=np.array([5.0, 2.4, 3.0]))
+    end = make_track((6.0, 0.0, 0.0), v, (90, 91), 1, size=np.array([3.0, 2.4, 3.0]))
+    seen_ns = lorry.updated_ns + 2 * BESIDE_NS
+    assert ids_after((lorry._replace(updated_ns=seen_ns), end._replace(updated_ns=seen_ns))) == ids
 
 
 def test_what_has_room_in_one_car_is_one_body() -> None:

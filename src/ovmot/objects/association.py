@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.objects.association_kernel import Bodies, SeenParts, compare_compiled
 from ovmot.objects.measurement import ObjectMeasurement
@@ -15,7 +15,6 @@ from ovmot.objects.track import (
     LEAST_CENTRE_SIGMA_M,
     Track,
     TrackState,
-    is_conclusive,
 )
 from ovmot.physics import CAR_SIZE_M, ROAD_SPEED_SIGMA_MPS, ROAD_USER_AREA_M2, gate
 
@@ -27,12 +26,11 @@ _SHARED = 2  # common features by which a pair is possible in a wider gate
 def associate(
     tracks: Sequence[Track],
     measurements: Sequence[ObjectMeasurement],
-    out_of_view: BoolArray,
     now_ns: int,
 ) -> dict[int, int]:
     """Index of the measurement of each track that has one, by index of the track.
 
-    `tracks` are predicted to now; `out_of_view` (T,): those that have left the image.
+    `tracks` are predicted to now.
     """
     if not tracks or not measurements:
         return {}
@@ -50,10 +48,6 @@ def associate(
     if lost.any():
         rather_new = log_density < log_density_of_new(measurements)
         d[lost[:, None] & (count == 0) & rather_new] = np.inf
-    # a track that has left the image is found again only by what would start one
-    if out_of_view.any():
-        inconclusive = ~np.array([is_conclusive(m) for m in measurements])
-        d[out_of_view[:, None] & inconclusive & (count == 0)] = np.inf
     return dict(assign(d, share, count))
 
 

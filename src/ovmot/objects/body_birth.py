@@ -15,6 +15,7 @@ from ovmot.objects.body import (
 )
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.frame_views import drift_variance, ego_step, views_then
+from ovmot.objects.motion_evidence import Origin
 from ovmot.types import PoseWindow
 
 _LEAST = 3  # features in a frame: a body's motion
@@ -28,8 +29,9 @@ def start_body(
     window: PoseWindow,
     rig: StereoRig,
     prior: VelocityPrior,
-) -> Body:
-    """A body of features (K,) of the newest frame, which move at about `velocity` (3,), world.
+) -> tuple[Body, Origin]:
+    """A body of features (K,) of the newest frame, which move at about `velocity` (3,), world;
+    and where it began.
 
     From the first of the earlier frames that shows enough of them, with a vague velocity; the
     `prior` of its velocity comes last. So every view counts once.
@@ -47,7 +49,8 @@ def start_body(
         if k > 0:
             body = advance(body, then)
         body = with_filled_state(with_members(body, then, feature_id), then)
-    return with_velocity_prior(body, prior)
+    origin = Origin(first.timestamp_ns, centre, first.T_world_cam0)
+    return with_velocity_prior(body, prior), origin
 
 
 def _after(

@@ -74,7 +74,7 @@ class FrameViews(NamedTuple):
     with covariance (N, 3, 3), NaN without one. `variance` (4,): of the normalized coordinates;
     `drift_variance`: rad², of a patch since the frame before; `drift_per_flow`: of its way, a
     standard deviation. `step`: the rig's since then; `correction` (4, 4): of the world since the
-    last frame was processed. `turn_rate_rps`: of the rig.
+    last frame was processed.
     """
 
     timestamp_ns: int
@@ -92,7 +92,6 @@ class FrameViews(NamedTuple):
     drift_per_flow: float
     step: EgoStep
     correction: FloatArray
-    turn_rate_rps: float
 
 
 class Rules(NamedTuple):

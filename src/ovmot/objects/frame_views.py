@@ -1,7 +1,5 @@
 """What one frame shows the bodies: its features' views and places, and the rig's step to it."""
 
-import math
-
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -29,7 +27,6 @@ def views_now(
         rig.normalized_sigma(noise.sigma_px) ** 2, rig.cam0.fx, rig.baseline,
         drift_variance(noise, rig, 1), noise.drift_per_flow,
         ego_step(window, common, len(window.timestamp_ns) - 1, T_world_cam0), correction,
-        turn_rate_rps(window),
     )  # fmt: skip
 
 
@@ -77,20 +74,9 @@ def views_then(
                 history.noise.drift_per_flow,
                 ego_step(window, int(clone[before]), int(clone[row]), T),
                 np.eye(4),
-                0.0,
             )
         )
     return frames
-
-
-def turn_rate_rps(window: PoseWindow) -> float:
-    """How fast the rig turned between the newest two poses; 0 of one alone."""
-    if len(window.timestamp_ns) < 2:
-        return 0.0
-    before, now = window.T_world_imu[-2:, :3, :3]
-    cosine = 0.5 * (float((before * now).sum()) - 1.0)  # of the angle: trace(R_beforeᵀ R_now)
-    seconds = 1e-9 * float(window.timestamp_ns[-1] - window.timestamp_ns[-2])
-    return math.acos(min(max(cosine, -1.0), 1.0)) / seconds
 
 
 def drift_variance(noise: PixelNoise, rig: StereoRig, n_frames: int) -> float:

@@ -8,7 +8,14 @@ from ovmot.geometry.so3 import rotation_z
 from ovmot.objects.body_box import gap_of
 from ovmot.objects.track import Track, TrackState
 from ovmot.objects.track_features_kernel import Hulls, alike_velocities_compiled
-from ovmot.physics import CAR_SIZE_M, CYCLIST_SIZE_M, MAX_VEHICLE_SIZE_M, SIZE_SPREAD, gate
+from ovmot.physics import (
+    CAR_SIZE_M,
+    CYCLIST_SIZE_M,
+    LEAST_HEADWAY_S,
+    MAX_VEHICLE_SIZE_M,
+    SIZE_SPREAD,
+    gate,
+)
 
 _MERGE_FRAMES = 3  # in a row after which a track that lies on an older one ends
 _SPEED_SPREAD = 0.3  # m/s by which parts of one body may differ
@@ -30,7 +37,9 @@ def merge_duplicates(tracks: Sequence[Track], hulls: Hulls) -> tuple[Track, ...]
         if older is None:
             out[k] = track._replace(overlaps=max(track.overlaps - 1, 0))
         elif track.overlaps + 1 < _MERGE_FRAMES:
-            young = track.state == TrackState.CONFIRMED and track.hits <= 2 * _MERGE_FRAMES
+            young = (
+                track.state == TrackState.CONFIRMED and track.updated_ns - track.born_ns < BESIDE_NS
+            )
             state = TrackState.TENTATIVE if young else track.state
             out[k] = track._replace(state=state, overlaps=track.overlaps + 1)
         else:
@@ -56,11 +65,15 @@ def _are_one(track: Track, other: Track) -> bool:
     whole = np.maximum(half, offset + turned) - np.minimum(-half, offset - turned)
     if more.box.is_vehicle and bool((whole[:2] <= np.array(CAR_SIZE_M[:2])).all()):
         return True  # two vehicles have no room where one car has
-    if _beside(track, other):  # as two for a while: two bodies, unless one lies in the other
-        return bool(np.hypot(gap[0], gap[1]) == 0.0)
     largest = MAX_VEHICLE_SIZE_M if more.box.is_vehicle else _MAX_RIDER_M
     fits = bool((whole <= np.maximum(2.0 * half, largest)).all())
-    return fits and float(np.hypot(gap[0], gap[1])) < gap_of(more.box) + sigma
+    apart = float(np.hypot(gap[0], gap[1]))
+    headway = LEAST_HEADWAY_S * float(np.hypot(*more.velocity[:2]))
+    if more.box.is_vehicle and fits and apart < min(gap_of(more.box), headway):
+        return True  # who follows a vehicle keeps more room
+    if _beside(track, other):  # as two for a while: two bodies, unless one lies in the other
+        return apart == 0.0
+    return fits and apart < gap_of(more.box) + sigma
 
 
 def _beside(track: Track, other: Track) -> bool:

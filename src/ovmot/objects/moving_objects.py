@@ -17,6 +17,7 @@ from ovmot.objects.feature_motions import FeatureHistory
 from ovmot.objects.frame_views import views_now
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.objects.motion_class import SpeedHistory, classified
+from ovmot.objects.motion_evidence import Origin
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.settings import Settings
@@ -98,7 +99,7 @@ class MovingObjects:
         frame = views_now(history.now, motions, now_ns, window, self._before, rig, history.noise)
         self._before = window
 
-        def new_body(measurement: ObjectMeasurement, prior: VelocityPrior) -> Body:
+        def new_body(measurement: ObjectMeasurement, prior: VelocityPrior) -> tuple[Body, Origin]:
             return start_body(
                 measurement.feature_id, measurement.velocity, recent, frame, window, rig, prior
             )

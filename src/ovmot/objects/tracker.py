@@ -13,6 +13,7 @@ from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.merging import merge_duplicates
+from ovmot.objects.motion_evidence import Origin
 from ovmot.objects.output import to_object_tracks
 from ovmot.objects.point_labels import label_points, speeds_of
 from ovmot.objects.track import (
@@ -22,6 +23,8 @@ from ovmot.objects.track import (
     found_again,
     horizontal_variance,
     measured_track,
+    moves,
+    rests,
     start_track,
 )
 from ovmot.objects.track_box import is_in_view
@@ -39,7 +42,7 @@ from ovmot.objects.track_features import (
 from ovmot.settings import ObjectTrackSettings
 from ovmot.types import ObjectTrack, ScenePoints
 
-_TENTATIVE_MISSES_S = 0.25
+_TENTATIVE_UNSEEN_S = 0.25
 _LOST_M = 1.0  # standard deviation of a lost track's position
 
 
@@ -60,7 +63,7 @@ class ObjectTracker:
         measurements: Sequence[ObjectMeasurement],
         points: ScenePoints,
         motions: FeatureMotions,
-        new_body: Callable[[ObjectMeasurement, VelocityPrior], Body],
+        new_body: Callable[[ObjectMeasurement, VelocityPrior], tuple[Body, Origin]],
     ) -> tuple[tuple[ObjectTrack, ...], ScenePoints]:
         """The tracks of this frame, and its points with their tracks' ids and labels.
 
@@ -70,29 +73,35 @@ class ObjectTracker:
         settings, rig, now_ns = self._settings, self._rig, frame.timestamp_ns
         T_world_cam0 = frame.T_world_cam0
         # 1 predict the tracks and update them by their features
-        tracks = [advance_track(track, frame) for track in self._tracks]
+        tracks = [advance_track(track, frame, settings) for track in self._tracks]
         # 2 associate measurements with tracks: those bring features, and find lost tracks again
-        out_of_view = np.array([_has_left(t, T_world_cam0, rig) for t in tracks], dtype=np.bool_)
-        matches = associate(tracks, measurements, out_of_view, now_ns)
+        matches = {
+            i: j
+            for i, j in associate(tracks, measurements, now_ns).items()
+            if not _has_left(tracks[i], T_world_cam0, rig)
+            or moves(*new_body(measurements[j], ROAD_USERS), frame, settings)
+        }
         for i, j in matches.items():
             if tracks[i].state == TrackState.COASTING or tracks[i].body.n_used < LEAST_SEEN:
-                body = new_body(measurements[j], prior_of(tracks[i].body))
+                body, origin = new_body(measurements[j], prior_of(tracks[i].body))
                 if body.map.outline.any():
-                    tracks[i] = found_again(tracks[i], body, frame)
+                    tracks[i] = found_again(tracks[i], body, origin, frame)
         hulls = hulls_of(tracks)
         for i, j in matches.items():
             own = own_features(tracks, hulls, i, measurements[j].feature_id, frame)
-            tracks[i] = measured_track(tracks[i], measurements[j], own, frame, settings)
+            tracks[i] = measured_track(tracks[i], own, frame, settings)
         # 3 find others again by features in their boxes
         tracks = recovered(tracks, motions, frame)
         # 4 start tracks by the other measurements
+        held = held_by(tracks).ids
         for j in sorted(set(range(len(measurements))) - set(matches.values())):
-            body = new_body(measurements[j], ROAD_USERS)
+            body, origin = new_body(measurements[j], ROAD_USERS)
             if body.map.outline.any():
-                tracks.append(start_track(self._next_id, frame, measurements[j], body))
+                n_free = int(np.isin(measurements[j].feature_id, held, invert=True).sum())
+                tracks.append(start_track(self._next_id, frame, body, origin, n_free, settings))
                 self._next_id += 1
         # 5 drop lost tracks, update the sets of features, merge duplicates
-        alive = [_missed(t, frame) for t in tracks if _is_alive(t, now_ns, settings)]
+        alive = [t for t in tracks if _is_alive(t, now_ns, settings)]
         hulls = hulls_of(alive)
         tracks = with_exchanged_features(alive, hulls, motions, frame)
         self._tracks = merge_duplicates(tracks, hulls)
@@ -120,22 +129,18 @@ class ObjectTracker:
 
 
 def _has_left(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
-    """Does a track coast outside the image, its position hardly known any more?"""
+    """Does a track coast outside the image, its position hardly known any more? It is found again
+    only by a measurement that would confirm a new track."""
     if track.state != TrackState.COASTING or is_in_view(track, T_world_cam0, rig):
         return False
     return horizontal_variance(track) > _LOST_M**2
 
 
 def _is_alive(track: Track, now_ns: int, settings: ObjectTrackSettings) -> bool:
-    """A tentative track needs measurements; the others live on unseen for a while."""
+    """A tentative track lives until it is found to rest; all live on unseen for a while."""
+    if rests(track, settings):
+        return False
     unseen_s = 1e-9 * (now_ns - track.updated_ns)
     if track.state == TrackState.TENTATIVE:
-        return unseen_s <= _TENTATIVE_MISSES_S
+        return unseen_s <= _TENTATIVE_UNSEEN_S
     return unseen_s <= settings.coast_s
-
-
-def _missed(track: Track, frame: FrameViews) -> Track:
-    """A tentative track must be measured in consecutive frames: its count begins again."""
-    if track.state == TrackState.TENTATIVE and track.measured_ns < frame.timestamp_ns:
-        return track._replace(hits=0, evidence=0.0)
-    return track
