@@ -72,6 +72,9 @@ MAX_YAW_RATE_RPS = 2.0
 """Beyond what a body on a road turns by: 0.8 g at 4 m/s."""
 CAR_SIZE_M = (4.5, 1.9, 1.5)
 """Length, width and height of a passenger car."""
+CAR_CLEARANCE_M = 0.15
+"""Between the road and a car's floor (ground clearances in data sheets are 0.12 to 0.2 m): what is
+lower is its wheels, or its shadow."""
 LORRY_SIZE_M = (8.0, 2.5, 3.3)
 """The same of a lorry of two axles."""
 LEAST_HEIGHT_M = 0.3

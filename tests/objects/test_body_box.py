@@ -54,8 +54,25 @@ def test_of_a_car_seen_from_behind_the_length_is_the_usual_one() -> None:
     rear = box.centre[0] - 0.5 * box.size[0]  # the face that was seen stays where it is
     assert rear == pytest.approx(10.0 - 0.25, abs=1e-3)
     assert box.std_size[0] > 2.0 * box.std_size[1]
-    lorry = make_body(size=np.array([0.5, 2.4, 3.0]))
+    lorry = make_body(size=np.array([0.5, *LORRY_SIZE_M[1:]]))
     assert box_size(lorry, FROM_BEHIND)[0] == LORRY_SIZE_M[0]
+    van = make_body(size=np.array([0.5, 1.9, 2.4]))
+    assert CAR_SIZE_M[0] + 1.0 < box_size(van, FROM_BEHIND)[0] < LORRY_SIZE_M[0] - 1.0
+
+
+def test_a_shadow_on_the_road_is_no_side_of_a_body() -> None:
+    """It moves as the body does, and reaches farther."""
+    body = make_body(ids=range(12), size=np.array([4.0, 1.7, 1.4]))
+    m = body.map
+    f = np.concatenate([m.f, [[1.0, 2.5, -0.8], [-1.0, 2.5, -0.8]]])
+    outline = body._replace(
+        map=m._replace(
+            feature_id=np.arange(14), f=f, cov=np.concatenate([m.cov, m.cov[:2]]),
+            n_seen=np.full(14, 9), failures=np.zeros(14, np.int64),
+            followed=np.ones(14, np.bool_), outline=np.ones(14, np.bool_),
+        )
+    )  # fmt: skip
+    np.testing.assert_allclose(box_size(outline)[:2], [4.0, 1.7], atol=0.01)
 
 
 def test_who_walks_has_no_hidden_side() -> None:

@@ -20,7 +20,7 @@ from ovmot.objects.body_step_kernel import Body
 
 SIZES = Sizes(
     np.array([4.5, 1.9, 1.5]), np.array([8.0, 2.5, 3.3]), np.array([18.0, 2.6, 4.0]), 1.2, 0.3,
-    0.25, 0.3,
+    0.25, 0.3, 0.2,
 )  # fmt: skip
 HEADINGS = Headings(0.03, 0.3, 0.5, 3.0)
 CAMERA, GAP = np.array([0.2, 0.1, -0.3]), 1.5
@@ -45,25 +45,40 @@ def motion(body: Body, point: FloatArray) -> tuple[FloatArray, FloatArray]:
     return v, J @ body.state.P[:8, :8] @ J.T
 
 
-def expected_box(body: Body, heading: Heading, least: FloatArray) -> Box:
-    x, m = body.state.x, body.map
-    R, to_local = rotation_z(float(x[3]) + heading.angle), rotation_z(heading.angle)
-    trusted = m.outline & (m.n_seen >= 2)
-    trusted = trusted if trusted.sum() >= 3 else m.outline
-    f = m.f[trusted] @ to_local
-    sigma = np.sqrt(np.einsum("ai,nab,bi->ni", to_local, m.cov[trusted], to_local))
+def outline_above(body: Body, low: float) -> BoolArray:
+    m = body.map
+    high, trusted = m.outline & (m.f[:, 2] > low), m.n_seen >= 2
+    wanted = (high & trusted, high, m.outline & trusted)
+    return next((rows for rows in wanted if rows.sum() >= 3), m.outline)
+
+
+def extents(body: Body, rows: BoolArray, to_local: FloatArray) -> tuple[FloatArray, FloatArray]:
+    m = body.map
+    f = m.f[rows] @ to_local
+    sigma = np.sqrt(np.einsum("ai,nab,bi->ni", to_local, m.cov[rows], to_local))
     own = whole(f[:, 0], sigma[:, 0]) & whole(f[:, 1], sigma[:, 1])
     f, sigma = (f[own], sigma[own]) if own.any() else (f, sigma)
     sigma = sigma * np.sqrt(2.0 * np.log(max(len(f), 2)))
     lo, hi = (f + sigma).min(0), (f - sigma).max(0)
     middle = 0.5 * (lo + hi)
-    lo, hi = np.minimum(lo, middle), np.maximum(hi, middle)
+    return np.minimum(lo, middle), np.maximum(hi, middle)
+
+
+def expected_box(body: Body, heading: Heading, least: FloatArray) -> Box:
+    x = body.state.x
+    R, to_local = rotation_z(float(x[3]) + heading.angle), rotation_z(heading.angle)
+    lo, hi = extents(body, outline_above(body, -np.inf), to_local)
+    hull_size, hull_middle = hi - lo, 0.5 * (lo + hi)
+    back, front = extents(body, outline_above(body, lo[2] + SIZES.shadow), to_local)
+    lo[:2], hi[:2] = back[:2], front[:2]
+    middle = 0.5 * (lo + hi)
     seen = hi - lo
     vehicle = bool(heading.drives or seen[1] > SIZES.vehicle_m)
     size, std = np.maximum(seen, np.maximum(least, SIZES.least)), np.full(3, SIZES.seen_sigma)
     if vehicle:
-        tall = seen[1] > SIZES.car[1] or seen[2] > SIZES.car[2]
-        usual = SIZES.lorry if tall and heading.drives else SIZES.car
+        larger = ((seen - SIZES.car) / (SIZES.lorry - SIZES.car))[1:].max()
+        share = np.clip(larger, 0.0, 1.0) if heading.drives else 0.0
+        usual = SIZES.car + share * (SIZES.lorry - SIZES.car)
         unseen = np.append(~heading.shown, False) | (size < 0.5 * usual)
         unseen &= (size < usual) & (np.arange(3) < 2)
         size = np.where(unseen, usual, size)
@@ -74,7 +89,7 @@ def expected_box(body: Body, heading: Heading, least: FloatArray) -> Box:
     local[2] = middle[2]
     centre = x[:3] + R @ local
     return Box(
-        centre, float(x[3]) + heading.angle, size, std, x[:3] + R @ middle, seen, vehicle,
+        centre, float(x[3]) + heading.angle, size, std, x[:3] + R @ hull_middle, hull_size, vehicle,
         *motion(body, centre),
     )  # fmt: skip
 

@@ -14,7 +14,14 @@ from ovmot.objects.body_box_kernel import (
     turned_heading_compiled,
 )
 from ovmot.objects.body_step_kernel import Body
-from ovmot.physics import CAR_SIZE_M, LORRY_SIZE_M, MAX_VEHICLE_SIZE_M, WALKER_MPS, WALKER_SIGMA_MPS
+from ovmot.physics import (
+    CAR_CLEARANCE_M,
+    CAR_SIZE_M,
+    LORRY_SIZE_M,
+    MAX_VEHICLE_SIZE_M,
+    WALKER_MPS,
+    WALKER_SIGMA_MPS,
+)
 
 _SIZES = Sizes(
     car=np.array(CAR_SIZE_M),
@@ -24,6 +31,7 @@ _SIZES = Sizes(
     seen_sigma=0.3,
     unseen_share=0.25,
     least=0.3,
+    shadow=CAR_CLEARANCE_M,
 )
 _HEADINGS = Headings(
     wander=0.03,
@@ -58,8 +66,8 @@ def updated_heading(
 def box_of(body: Body, heading: Heading, least: FloatArray, camera: FloatArray) -> Box:
     """The box of a body seen by a `camera` (3,), of at least the size `least` (3,).
 
-    What was not seen of a vehicle is as large as a passenger car's, behind what was. What lies
-    farther from the rest than a lorry is long is not of this body.
+    What was not seen of a vehicle is as large as is usual, behind what was. What lies farther from
+    the rest than a lorry is long is not of this body.
     """
     return box_of_body_compiled(body, heading, least, camera, LORRY_SIZE_M[0], _SIZES)
 

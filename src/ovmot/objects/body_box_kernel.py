@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
-from ovmot.objects.body_step_kernel import Body
+from ovmot.objects.body_step_kernel import Body, FeatureMap
 
 _SIDE_M = 1e-3  # shorter vectors have no direction
 _WHOLE = 0.5  # of the usual size: what shows less of a side does not show all of it
 _TRUSTED = 2  # frames in which a feature of the hull was seen
+_ENOUGH = 3  # features that span a hull
 
 
 class Heading(NamedTuple):
@@ -50,7 +51,8 @@ class Box(NamedTuple):
 class Sizes(NamedTuple):
     """Of road users, m: usual ones of cars and lorries (3,), the greatest (3,); from `vehicle_m`
     across their way they are no walkers. A side that was seen ends within `seen_sigma` of its
-    features, one that was not is uncertain by `unseen_share`; none is smaller than `least`."""
+    features, one that was not is uncertain by `unseen_share`; none is smaller than `least`. Up to
+    `shadow` above its lowest feature, a body may be its shadow on the road."""
 
     car: FloatArray
     lorry: FloatArray
@@ -59,6 +61,7 @@ class Sizes(NamedTuple):
     seen_sigma: float
     unseen_share: float
     least: float
+    shadow: float
 
 
 class Headings(NamedTuple):
@@ -107,15 +110,16 @@ def box_of_body(
 ) -> Box:
     """The box of a body seen by a `camera` (3,), of at least the size `least` (3,).
 
-    What was not seen of a vehicle is as large as a passenger car's, behind what was. What lies
-    beyond a `gap`, m, is not of this body.
+    What was not seen of a vehicle is as large as is usual for its height and width, behind what
+    was. What lies beyond a `gap`, m, is not of this body.
     """
-    x, lo, hi = body.state.x, np.empty(3), np.empty(3)
+    x, m, lo, hi = body.state.x, body.map, np.empty(3), np.empty(3)
     c, s = math.cos(x[3] + heading.angle), math.sin(x[3] + heading.angle)
-    hull_of(body, heading.angle, gap, lo, hi)
-    tall = hi[1] - lo[1] > sizes.car[1] or hi[2] - lo[2] > sizes.car[2]
+    extents(m, outline_above(m, -math.inf), heading.angle, gap, lo, hi)
+    hull_size, hull_middle = hi - lo, 0.5 * (lo + hi)
+    without_shadow(m, heading.angle, gap, sizes.shadow, lo, hi)
     vehicle = heading.drives or hi[1] - lo[1] > sizes.vehicle_m
-    usual = sizes.lorry if tall and heading.drives else sizes.car
+    usual = usual_size(hi - lo, sizes) if heading.drives else sizes.car
     size, std, middle, local = np.empty(3), np.full(3, sizes.seen_sigma), np.empty(3), np.empty(3)
     eye_x, eye_y = camera[0] - x[0], camera[1] - x[1]
     eye = (c * eye_x + s * eye_y, c * eye_y - s * eye_x, camera[2] - x[2])
@@ -131,14 +135,25 @@ def box_of_body(
         local[a] = lo[a] + 0.5 * size[a] if eye[a] < middle[a] else hi[a] - 0.5 * size[a]
     local[2] = middle[2]
     centre, hull_centre = np.empty(3), np.empty(3)
-    for place, out in ((local, centre), (middle, hull_centre)):
+    for place, out in ((local, centre), (hull_middle, hull_centre)):
         out[0] = x[0] + c * place[0] - s * place[1]
         out[1] = x[1] + s * place[0] + c * place[1]
         out[2] = x[2] + place[2]
     velocity, covariance = motion_of(body, centre)
     return Box(
-        centre, x[3] + heading.angle, size, std, hull_centre, hi - lo, vehicle, velocity, covariance
+        centre, x[3] + heading.angle, size, std, hull_centre, hull_size, vehicle, velocity,
+        covariance,
     )  # fmt: skip
+
+
+@part
+def usual_size(seen: FloatArray, sizes: Sizes) -> FloatArray:
+    """Size (3,) of a vehicle as wide and high as was `seen` (3,): between a car and a lorry."""
+    share = 0.0
+    for a in (1, 2):
+        larger = (seen[a] - sizes.car[a]) / (sizes.lorry[a] - sizes.car[a])
+        share = max(share, min(larger, 1.0))
+    return sizes.car + share * (sizes.lorry - sizes.car)
 
 
 @part
@@ -160,22 +175,45 @@ def motion_of(body: Body, point: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @part
-def hull_of(body: Body, angle: float, gap: float, lo: FloatArray, hi: FloatArray) -> None:
-    """The least and greatest coordinates (3,) of the outline along a heading, each less the
-    greatest error that is to be expected of so many."""
-    m, n = body.map, 0
-    own = np.empty(len(m.f), np.int64)
-    for least in (_TRUSTED, 0):  # those seen more than once, if there are enough
+def without_shadow(
+    m: FeatureMap, angle: float, gap: float, shadow: float, lo: FloatArray, hi: FloatArray
+) -> None:
+    """Take length and width of `lo`, `hi` (3,) from what is higher than `shadow` above the bottom.
+
+    The shadow on the road moves as the body does, and reaches farther.
+    """
+    back, front = np.empty(3), np.empty(3)
+    extents(m, outline_above(m, lo[2] + shadow), angle, gap, back, front)
+    for a in range(2):
+        lo[a], hi[a] = back[a], front[a]
+
+
+@part
+def outline_above(m: FeatureMap, bottom: float) -> IntArray:
+    """Rows of the features of the outline that are higher than `bottom`: those that were seen more
+    than once, if there are enough, else all; with too few of them, the same of any height."""
+    own, n = np.empty(len(m.f), np.int64), 0
+    for low, least in ((bottom, _TRUSTED), (bottom, 0), (-math.inf, _TRUSTED), (-math.inf, 0)):
         n = 0
         for k in range(len(m.f)):
-            if m.outline[k] and m.n_seen[k] >= least:
+            if m.outline[k] and m.n_seen[k] >= least and m.f[k, 2] > low:
                 own[n] = k
                 n += 1
-        if n >= 3:
+        if n >= _ENOUGH:
             break
+    return own[:n]
+
+
+@part
+def extents(
+    m: FeatureMap, rows: IntArray, angle: float, gap: float, lo: FloatArray, hi: FloatArray
+) -> None:
+    """The least and greatest coordinates (3,) along a heading of some features of a map, each less
+    the greatest error that is to be expected of so many."""
+    n = len(rows)
     f, sigma, c, s = np.empty((3, n)), np.empty((3, n)), math.cos(angle), math.sin(angle)
     for i in range(n):
-        p, C = m.f[own[i]], m.cov[own[i]]
+        p, C = m.f[rows[i]], m.cov[rows[i]]
         f[0, i], f[1, i], f[2, i] = c * p[0] + s * p[1], c * p[1] - s * p[0], p[2]
         sigma[0, i] = math.sqrt(max(c * c * C[0, 0] + 2.0 * c * s * C[0, 1] + s * s * C[1, 1], 0.0))
         sigma[1, i] = math.sqrt(max(s * s * C[0, 0] - 2.0 * c * s * C[0, 1] + c * c * C[1, 1], 0.0))
