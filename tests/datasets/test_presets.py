@@ -45,7 +45,7 @@ def test_only_what_differs_and_in_the_package(preset: Preset) -> None:
 
 def test_kitti_sync_has_one_and_extract_none(kitti_raw: Path) -> None:
     sync, extract = (open_sequence(kitti_raw / name) for name in (SYNC, EXTRACT))
-    assert sync.settings().imu == ImuSettings(gyro_noise=2e-3, accel_noise=5e-2, max_gap_s=0.25)
+    assert sync.settings().imu == ImuSettings(gyro_noise=3.8e-3, accel_noise=8.7e-2, max_gap_s=0.25)
     assert extract.preset is None
     assert extract.settings() == Settings()
 
@@ -72,10 +72,10 @@ def test_what_is_given_overrules(kitti_raw: Path) -> None:
     sequence = open_sequence(kitti_raw / SYNC)
     given = ovmot.load_settings(None, ["imu.gyro_noise=0.01", "objects.enabled=false"])
     settings = sequence.settings(given)
-    assert (settings.imu.gyro_noise, settings.imu.accel_noise) == (0.01, 5e-2)
+    assert (settings.imu.gyro_noise, settings.imu.accel_noise) == (0.01, 8.7e-2)
     assert not settings.objects.enabled
     assert sequence.preset is not None
-    assert sequence.preset.in_force(settings) == {"imu.accel_noise": 5e-2, "imu.max_gap_s": 0.25}
+    assert sequence.preset.in_force(settings) == {"imu.accel_noise": 8.7e-2, "imu.max_gap_s": 0.25}
     default_given = ovmot.load_settings(None, ["imu.max_gap_s=0.1"])
     assert sequence.settings(default_given).imu.max_gap_s == 0.1
 

@@ -13,7 +13,7 @@ from ovmot.frontend.corners import (
     new_corners,
 )
 from ovmot.frontend.fast_kernel import fast_corners_compiled
-from ovmot.frontend.spread_kernel import spread_corners_compiled
+from ovmot.frontend.spread_kernel import spread_corners
 from ovmot.geometry.arrays import FloatArray, Image
 from ovmot.settings import TrackerSettings
 from ovmot.types import PointLabel, ScenePoints
@@ -41,7 +41,7 @@ def detect(image: Image, existing: FloatArray, n_wanted: int) -> FloatArray:
     """New corners (M, 2) of an image."""
     everywhere, (height, width) = np.full_like(image, 255), image.shape
     corners = fast_corners_compiled(image, everywhere, 15, BORDER_PX)
-    chosen = spread_corners_compiled(
+    chosen = spread_corners(
         corners, existing, n_wanted, SPREAD.distance_px, SPREAD.cell_px, SPREAD.per_cell,
         width, height,
     )  # fmt: skip

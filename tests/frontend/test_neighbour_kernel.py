@@ -1,10 +1,10 @@
-"""Medians over neighbours, compiled and plain, against a k-d tree."""
+"""Medians over neighbours, compiled, against a k-d tree."""
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians, nearest_medians_compiled
+from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians
 
 
 @pytest.mark.parametrize("n_features", [NEAREST, 80])
@@ -15,5 +15,4 @@ def test_medians_are_those_of_the_nearest(n_features: int, n_values: int) -> Non
     values = rng.standard_normal((n_features, n_values))
     _, nearest = cKDTree(uv).query(where, k=NEAREST)
     expected = np.median(values[nearest], axis=1)
-    for function in (nearest_medians, nearest_medians_compiled):
-        np.testing.assert_array_equal(function(uv, values, where), expected)
+    np.testing.assert_array_equal(nearest_medians(uv, values, where), expected)

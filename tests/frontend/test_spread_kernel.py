@@ -1,9 +1,9 @@
-"""The choice of corners, compiled and as plain Python, against a search through all pairs."""
+"""The choice of corners, compiled, against a search through all pairs."""
 
 import numpy as np
 import pytest
 
-from ovmot.frontend.spread_kernel import spread_corners, spread_corners_compiled
+from ovmot.frontend.spread_kernel import spread_corners
 from ovmot.geometry.arrays import BoolArray, FloatArray
 
 CELL, PER_CELL, SIZE = 64, 12, (210, 205)
@@ -34,6 +34,5 @@ def test_the_first_with_room_around_them_are_taken(
     existing = rng.uniform(5.0, 203.0, (n_existing, 2))
     expected = by_all_pairs(corners, existing, n_wanted, distance)
     assert 0 < expected.sum() <= n_wanted
-    for function in (spread_corners_compiled, spread_corners):
-        chosen = function(corners, existing, n_wanted, distance, CELL, PER_CELL, *SIZE)
-        np.testing.assert_array_equal(chosen, expected)
+    chosen = spread_corners(corners, existing, n_wanted, distance, CELL, PER_CELL, *SIZE)
+    np.testing.assert_array_equal(chosen, expected)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ovmot.frontend.spread_kernel import spread_corners_compiled
+from ovmot.frontend.spread_kernel import spread_corners
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
@@ -85,7 +85,7 @@ def take_corners(
     for k in range(3):
         among = inside if k == 2 else outside
         if wanted[k] > 0 and len(among):
-            chosen = spread_corners_compiled(
+            chosen = spread_corners(
                 among, taken, wanted[k], distance_px[k], cell_px[k], per_cell[k], width, height
             )
             taken = np.concatenate((taken, among[chosen]))

@@ -1,16 +1,15 @@
 """Compiled medians over the nearest features in the image."""
 
-from pathlib import Path
-
 import numpy as np
 
 from ovmot.geometry.arrays import FloatArray
-from ovmot.kernels.cache import code_folder, compiled
+from ovmot.kernels.cache import part
 
 NEAREST = 5
 """Neighbours in the image whose median is taken: two may be wrong."""
 
 
+@part
 def nearest_medians(uv: FloatArray, values: FloatArray, where: FloatArray) -> FloatArray:
     """Medians (M, k) of the values (N, k) of the `NEAREST` features around pixels `where` (M, 2).
 
@@ -40,6 +39,3 @@ def nearest_medians(uv: FloatArray, values: FloatArray, where: FloatArray) -> Fl
                 distance[i] = value
             out[m, c] = distance[NEAREST // 2]
     return out
-
-
-nearest_medians_compiled = compiled(nearest_medians, code_folder(Path(__file__)))

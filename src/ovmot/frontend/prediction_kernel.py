@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ovmot.cameras.lens_kernel import to_pixel
-from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians_compiled
+from ovmot.frontend.neighbour_kernel import NEAREST, nearest_medians
 from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.sorting import median
@@ -28,7 +28,7 @@ def _fill_depths(uv: FloatArray, depth: FloatArray, default: float) -> None:
         return
     if len(unknown):
         values = depth[known].reshape(-1, 1)
-        depth[unknown] = nearest_medians_compiled(uv[known], values, uv[unknown])[:, 0]
+        depth[unknown] = nearest_medians(uv[known], values, uv[unknown])[:, 0]
 
 
 @part
@@ -125,7 +125,7 @@ def _flow_nearby(
         moves[i] = found[i] and far > least_px
     mover, lost = np.flatnonzero(moves), np.flatnonzero(~found)
     if len(mover) >= NEAREST and len(lost):
-        extra = nearest_medians_compiled(uv[mover], seen[mover] - static_uv[mover], uv[lost])
+        extra = nearest_medians(uv[mover], seen[mover] - static_uv[mover], uv[lost])
         start[lost] = static_uv[lost] + extra
     return start
 

@@ -1,11 +1,9 @@
 """The compiled choice of corners that keep apart."""
 
-from pathlib import Path
-
 import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.kernels.cache import code_folder, compiled, part
+from ovmot.kernels.cache import part
 
 
 @part
@@ -41,6 +39,7 @@ def _cell_of(u: float, v: float, side: int, rows: int, columns: int) -> int:
     return row * columns + column
 
 
+@part
 def spread_corners(
     corners: FloatArray, existing: FloatArray, n_wanted: int,
     distance: float, cell_px: int, per_cell: int, width: int, height: int,
@@ -75,6 +74,3 @@ def spread_corners(
             _add_to_bin(u, v, distance, bins, n_taken, after)
             n_taken += 1
     return chosen
-
-
-spread_corners_compiled = compiled(spread_corners, code_folder(Path(__file__)))
