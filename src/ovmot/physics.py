@@ -29,6 +29,9 @@ pixel (A. Gruen, "Adaptive least squares correlation", S. African J. of Photogra
 PATCH_DRIFT_PX = 0.15
 """Standard deviation by which a tracked patch drifts on what it shows, pixels, from frame to frame:
 a random walk."""
+DEPTH_SLIDE_SHARE = 0.3
+"""Probability that a patch's disparity slides as its neighbour's does: they lie on one occluding
+edge, or on one texture that repeats itself."""
 SLIDE_SHARE = 0.05
 """Probability that a patch lies on an edge between near and far, or along one, and slides with its
 neighbours there."""

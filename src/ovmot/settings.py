@@ -279,7 +279,7 @@ class ObjectSettings(Section):
 class ObjectTrackSettings(Section):
     """Tracks of moving bodies: how they move, and when they begin and end."""
 
-    false_alarm: float = Field(2e-3, gt=0.0, lt=0.5)
+    false_alarm: float = Field(5e-3, gt=0.0, lt=0.5)
     """Probability that a body at rest is confirmed: the sequential test's α."""
     miss: float = Field(1e-3, gt=0.0, lt=0.5)
     """Probability that a moving body is dropped, taken to rest: the test's β."""

@@ -79,9 +79,9 @@ def test_patches_that_slide_together_are_taken_for_a_body_no_more_often_than_sai
     n_features = 1 + rng.geometric(1.0 - SLIDE_SHARE, n)
     again = rng.geometric(0.75, n) - 1
     kinds, counts = np.unique(np.stack([n_features, again], axis=1), axis=0, return_counts=True)
-    sure = [against_slides(50.0, 50.0, int(k), int(a)) > BOUND for k, a in kinds]
+    sure = [against_slides(50.0, 50.0, 50.0, int(k), int(a)) > BOUND for k, a in kinds]
     assert 0 < SLIDE_SHARE * counts[sure].sum() <= SETTINGS.false_alarm * n
-    assert against_slides(50.0, -2.0, 3, 9) < 2.0  # slid once, and rests
+    assert against_slides(50.0, 50.0, -2.0, 3, 9) < 2.0  # slid once, and rests
 
 
 @pytest.mark.parametrize(
@@ -89,8 +89,27 @@ def test_patches_that_slide_together_are_taken_for_a_body_no_more_often_than_sai
     [(2, 3, False), (2, 4, True), (3, 1, False), (3, 2, True), (4, 0, True)],
 )
 def test_few_features_must_be_found_again(n_features: int, again: int, sure: bool) -> None:
-    assert (against_slides(100.0, 100.0, n_features, again) > BOUND) is sure
-    assert against_slides(3.0, 100.0, n_features, 9) == pytest.approx(3.0, abs=0.1)
+    assert (against_slides(100.0, 100.0, 100.0, n_features, again) > BOUND) is sure
+    assert against_slides(3.0, 100.0, 100.0, n_features, 9) == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("n_features", "again", "sure"), [(4, 0, False), (4, 2, False), (4, 3, True), (8, 0, True)]
+)
+def test_a_way_along_the_ray_alone_may_be_a_slide_in_depth(
+    n_features: int, again: int, sure: bool
+) -> None:
+    """What lies on one edge, or on one texture that repeats itself: more features must show it."""
+    assert (against_slides(100.0, -3.0, 100.0, n_features, again) > BOUND) is sure
+
+
+def test_a_way_along_the_ray_says_nothing_across_it() -> None:
+    """Nor does a way across it lose anything by what is not known along it."""
+    ray = np.array([0.8, 0.6, 0.0])
+    C, unknown = 0.01 * np.eye(3), 1e6 * np.outer(ray, ray)
+    along = log_ratio(3.0 * ray, C + unknown, 1.0)
+    across = log_ratio(np.array([-1.8, 2.4, 0.0]), C + unknown, 1.0)
+    assert along < 0.0 < BOUND < across
 
 
 def test_where_the_image_stands_lenses_err_alike_at_both_ends() -> None:

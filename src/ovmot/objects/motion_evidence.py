@@ -18,6 +18,7 @@ from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.physics import (
     CYCLIST_MPS,
     CYCLIST_SIGMA_MPS,
+    DEPTH_SLIDE_SHARE,
     LEAST_MATCH_SIGMA_PX,
     LENS_SCALE_SIGMA,
     LENS_SIGMA_PX,
@@ -26,6 +27,8 @@ from ovmot.physics import (
     WALKER_MPS,
     WALKER_SIGMA_MPS,
 )
+
+_ANY_WAY_M = 1e3  # standard deviation of a way of which nothing is known
 
 
 class Origin(NamedTuple):
@@ -70,21 +73,31 @@ def body_log_ratio(
         return 0.0
     x, P = body.state.x, body.state.P
     lens = lens_doubt(x[:3], origin, frame)
-    of_way = log_ratio(x[:3] - origin.place, P[:3, :3] + lens, seconds)
+    way, covariance = x[:3] - origin.place, P[:3, :3] + lens
+    ray = x[:3] - frame.step.centre
+    unknown = np.outer(ray, ray) * (_ANY_WAY_M / np.linalg.norm(ray)) ** 2
+    of_way = log_ratio(way, covariance, seconds)
+    of_across = log_ratio(way, covariance + unknown, seconds)
     of_velocity = log_ratio(x[VELOCITY], P[VELOCITY, VELOCITY] + lens / seconds**2, 1.0)
-    return against_slides(of_way, of_velocity, n_features, found_again)
+    return against_slides(of_way, of_across, of_velocity, n_features, found_again)
 
 
-def against_slides(of_way: float, of_velocity: float, n_features: int, found_again: int) -> float:
-    """The log-ratio against rest or patches that slid together, by those of the way and velocity.
+def against_slides(
+    of_way: float, of_across: float, of_velocity: float, n_features: int, found_again: int
+) -> float:
+    """The log-ratio against rest or patches that slid together, by those of the way, of its part
+    across the ray, and of the velocity.
 
-    Each feature that has the motion of the first two slides with `SLIDE_SHARE`. A drift is a random
-    walk, which goes on in the same quadrant with 1/4: what the velocity says counts up to that for
-    each frame in which the motion was found again, since the body was found by its velocity.
+    Each feature that has the motion of the first two slides with `SLIDE_SHARE`, and with
+    `DEPTH_SLIDE_SHARE` where only its disparity does: such a slide is a way along the ray. A drift
+    is a random walk, which goes on in the same quadrant with 1/4: what the velocity says counts up
+    to that for each frame in which the motion was found again, since the body was found by its
+    velocity.
     """
-    slides = max(n_features - 2, 0) * math.log(SLIDE_SHARE)
-    slides -= min(of_velocity, found_again * math.log(4.0))
-    return -float(np.logaddexp(-of_way, slides))
+    n_more, drifts = max(n_features - 2, 0), min(of_velocity, found_again * math.log(4.0))
+    slides = n_more * math.log(SLIDE_SHARE) - drifts
+    in_depth = n_more * math.log(DEPTH_SLIDE_SHARE) - max(of_across, 0.0) - drifts
+    return -float(np.logaddexp.reduce([-of_way, slides, in_depth]))
 
 
 def log_ratio(way: FloatArray, covariance: FloatArray, seconds: float) -> float:
