@@ -76,10 +76,14 @@ def body_log_ratio(
     way, covariance = x[:3] - origin.place, P[:3, :3] + lens
     ray = x[:3] - frame.step.centre
     unknown = np.outer(ray, ray) * (_ANY_WAY_M / np.linalg.norm(ray)) ** 2
-    of_way = log_ratio(way, covariance, seconds)
-    of_across = log_ratio(way, covariance + unknown, seconds)
-    of_velocity = log_ratio(x[VELOCITY], P[VELOCITY, VELOCITY] + lens / seconds**2, 1.0)
-    return against_slides(of_way, of_across, of_velocity, n_features, found_again)
+    of_change = P[VELOCITY, VELOCITY] + lens / seconds**2
+    ratios = log_ratios(
+        np.stack([way, way, x[VELOCITY]]),
+        np.stack([covariance, covariance + unknown, of_change]),
+        np.array([seconds, seconds, 1.0]),
+    )
+    of_way, across, of_velocity = ratios.tolist()
+    return against_slides(of_way, across, of_velocity, n_features, found_again)
 
 
 def against_slides(
@@ -100,20 +104,21 @@ def against_slides(
     return -float(np.logaddexp.reduce([-of_way, slides, in_depth]))
 
 
-def log_ratio(way: FloatArray, covariance: FloatArray, seconds: float) -> float:
-    """The same of a way (3,) that took so many seconds, measured with a covariance (3, 3).
+def log_ratios(way: FloatArray, covariance: FloatArray, seconds: FloatArray) -> FloatArray:
+    """The same (B,) of ways (B, 3) that took so many seconds (B,), with covariances (B, 3, 3).
 
     A body at rest has the way zero; road users' velocities are a mixture of their classes', each
     Gaussian about zero. The ratio of one datum after the other is a martingale if the body rests:
     it ever exceeds 1/α with a probability of at most α (J. Ville, 1939).
     """
-    if not seconds > 0.0:
-        return 0.0
-    C = np.stack([covariance, *(covariance + np.diag(seconds**2 * v) for v in _VARIANCES)])
+    C = np.repeat(covariance[:, None], 1 + len(_VARIANCES), axis=1)
+    C[:, 1:, range(3), range(3)] += np.square(seconds)[:, None, None] * _VARIANCES
     _, log_det = np.linalg.slogdet(C)
-    squared = np.linalg.solve(C, np.broadcast_to(way[:, None], (len(C), 3, 1)))[..., 0] @ way
+    off = np.broadcast_to(way[:, None, :, None], (*C.shape[:3], 1))
+    squared = (np.linalg.solve(C, off)[..., 0] * way[:, None]).sum(-1)
     log_density = -0.5 * (squared + log_det)
-    return float(np.logaddexp.reduce(log_density[1:]) - math.log(len(_VARIANCES)) - log_density[0])
+    moving = np.logaddexp.reduce(log_density[:, 1:], axis=1) - math.log(len(_VARIANCES))
+    return np.asarray(moving - log_density[:, 0])
 
 
 def lens_doubt(place: FloatArray, origin: Origin, frame: FrameViews) -> FloatArray:
