@@ -1,4 +1,6 @@
-"""Medians over neighbours, compiled, against a k-d tree."""
+"""Medians over neighbours, compiled and plain, against a k-d tree."""
+
+import inspect
 
 import numpy as np
 import pytest
@@ -15,4 +17,5 @@ def test_medians_are_those_of_the_nearest(n_features: int, n_values: int) -> Non
     values = rng.standard_normal((n_features, n_values))
     _, nearest = cKDTree(uv).query(where, k=NEAREST)
     expected = np.median(values[nearest], axis=1)
-    np.testing.assert_array_equal(nearest_medians(uv, values, where), expected)
+    for function in (nearest_medians, inspect.unwrap(nearest_medians)):
+        np.testing.assert_array_equal(function(uv, values, where), expected)

@@ -1,4 +1,6 @@
-"""The choice of corners, compiled, against a search through all pairs."""
+"""The choice of corners, compiled and as plain Python, against a search through all pairs."""
+
+import inspect
 
 import numpy as np
 import pytest
@@ -34,5 +36,6 @@ def test_the_first_with_room_around_them_are_taken(
     existing = rng.uniform(5.0, 203.0, (n_existing, 2))
     expected = by_all_pairs(corners, existing, n_wanted, distance)
     assert 0 < expected.sum() <= n_wanted
-    chosen = spread_corners(corners, existing, n_wanted, distance, CELL, PER_CELL, *SIZE)
-    np.testing.assert_array_equal(chosen, expected)
+    for function in (spread_corners, inspect.unwrap(spread_corners)):
+        chosen = function(corners, existing, n_wanted, distance, CELL, PER_CELL, *SIZE)
+        np.testing.assert_array_equal(chosen, expected)
