@@ -172,7 +172,18 @@ def test_what_one_look_lost_is_found_by_another_where_it_is_like(
 def test_patches_are_found_farther_than_flow_reaches(texture: AnyArray) -> None:
     before, after = (build_pyramid(painted(texture, s), SETTINGS) for s in ((0, 0), (36, 4)))
     points = np.array([[120.0, 90.0], [180.0, 110.0], [1.0, 1.0]])
-    found = match_templates(before, after, points, points, 60.0)
+    found = match_templates(before, after, points, points, np.full(3, 60.0))
     np.testing.assert_allclose(found[:2] - points[:2], [[36.0, 4.0]] * 2, atol=1.01)
     assert np.isnan(found[2]).all()  # its patch is not all in the image
-    assert np.isnan(match_templates(before, after, points, points, 20.0)).all()
+    assert np.isnan(match_templates(before, after, points, points, np.full(3, 20.0))).all()
+
+
+def test_a_patch_that_is_found_twice_is_found_nowhere(texture: AnyArray) -> None:
+    """A row of equal windows: the third is within reach of a shift of one and of two."""
+    once = painted(texture, (0.0, 0.0))
+    rows = np.tile(once[:, :40], (1, 8))
+    before, after = build_pyramid(rows, SETTINGS), build_pyramid(np.roll(rows, 12, 1), SETTINGS)
+    points = np.array([[140.0, 90.0]])
+    unique = match_templates(before, after, points, points, np.array([24.0]))
+    np.testing.assert_allclose(unique - points, [[12.0, 0.0]], atol=1.01)
+    assert np.isnan(match_templates(before, after, points, points, np.array([60.0]))).all()

@@ -99,7 +99,7 @@ def street_and_body(u: int) -> Image:
 def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_reach(
     painted_rig: StereoRig, workers: ThreadPoolExecutor
 ) -> None:
-    """It moves by 34 pixels, within two cells of 20; what is static stays."""
+    """It moves by 34 pixels at 10 m, 1.7 m, as one of 2 m does; what is static stays."""
     settings = TrackerSettings(fine_columns=16, equalization="none")
     tracker = KltTracker(settings, workers, FeatureIds())
     images = street_and_body(100), street_and_body(134)
@@ -107,11 +107,10 @@ def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_rea
         preprocess(StereoFrame(k, image, image), painted_rig, settings, workers)[0]
         for k, image in enumerate(images)
     ]
-    first = tracker.step(
-        views[0], np.empty((0, 3)), np.empty((0, 3)), np.eye(4), None, np.empty(0, dtype=np.int64)
-    )
+    nowhere, none = np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    first = tracker.step(views[0], nowhere, nowhere, np.eye(4), 2.0, None, none)
     p = 10.0 * np.column_stack([first.xy, np.ones(len(first))])
-    second = tracker.step(views[1], p, p, np.eye(4), None, np.empty(0, dtype=np.int64))
+    second = tracker.step(views[1], p, p, np.eye(4), 2.0, None, none)
     _, a, b = np.intersect1d(first.feature_id, second.feature_id, return_indices=True)
     moved = second.uv[b] - first.uv[a]
     on_body = ((first.uv[a] > [108, 98]) & (first.uv[a] < [152, 142])).all(axis=1)
@@ -120,6 +119,32 @@ def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_rea
     away = (first.uv[a, 1] < 80) | (first.uv[a, 1] > 160)
     assert np.quantile(np.abs(moved[away]).max(axis=1), 0.95) < 0.1
     np.testing.assert_allclose(second.depth[b][away], 10.0)
+
+
+def test_the_nearer_a_body_is_the_farther_it_is_searched(
+    painted_rig: StereoRig, workers: ThreadPoolExecutor
+) -> None:
+    """1.5 m are 30 pixels at 10 m and 60 at 5 m: of two bodies that move by 45 pixels, the near one
+    is found."""
+    settings = TrackerSettings(fine_columns=16, equalization="none")
+    images = street_and_body(100), street_and_body(145)
+    views = [
+        preprocess(StereoFrame(k, image, image), painted_rig, settings, workers)[0]
+        for k, image in enumerate(images)
+    ]
+    nowhere, none = np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    share = {}
+    for depth in (10.0, 5.0):
+        tracker = KltTracker(settings, workers, FeatureIds())
+        first = tracker.step(views[0], nowhere, nowhere, np.eye(4), 1.5, None, none)
+        p = depth * np.column_stack([first.xy, np.ones(len(first))])
+        second = tracker.step(views[1], p, p, np.eye(4), 1.5, None, none)
+        body = first.feature_id[((first.uv > [108, 98]) & (first.uv < [152, 142])).all(axis=1)]
+        ids, a, b = np.intersect1d(first.feature_id, second.feature_id, return_indices=True)
+        off = np.abs(second.uv[b] - first.uv[a] - [45.0, 0.0]).max(axis=1)
+        share[depth] = np.isin(body, ids[off < 0.3]).mean()
+    assert share[5.0] > 0.6
+    assert share[10.0] < 0.1
 
 
 def test_ids_are_given_once() -> None:

@@ -1,5 +1,6 @@
 """The search for features in another image, from predicted places: patches, flow, templates."""
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +14,7 @@ from ovmot.frontend.feature_kernel import ALIGNED, LOST, find_features_compiled
 from ovmot.frontend.klt_kernel import margin_of
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import Pyramid, View
-from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ovmot.runtime import do_together
 from ovmot.settings import TrackerSettings
 
@@ -22,6 +23,11 @@ MIN_CORRELATION = 0.85
 SURE_CORRELATION = 0.95
 """The same without optical flow to lead there: a tenth of the variance is unlike at most, while a
 warp that is free to bend reaches the other bound on some wrong texture within reach."""
+
+RATIO = 0.8
+"""Of the distances of the best match and of the next: D. Lowe, IJCV 2004, fig. 11."""
+NOISE = 2.0
+"""Grey levels, of a camera's picture with its contrast corrected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +109,18 @@ def only_fitting(now: Found, required: BoolArray) -> Found:
 
 
 def match_templates(
-    source: Pyramid, target: Pyramid, points: FloatArray, around: FloatArray, reach_px: float
+    source: Pyramid,
+    target: Pyramid,
+    points: FloatArray,
+    around: FloatArray,
+    reach_px: FloatArray,
 ) -> FloatArray:
     """Positions (N, 2) in `target` that correlate best with the patches of `points` (N, 2).
 
-    They are sought `reach_px` to either side of `around` (N, 2) and a quarter of it up and down,
-    since bodies move along the ground; NaN below `MIN_CORRELATION`. Normalized cross-correlation
-    of windows on the half-size images: optical flow does not reach much farther than its window.
+    They are sought `reach_px` (N,) to either side of `around` (N, 2) and a quarter of it up and
+    down, since bodies move along the ground; NaN below `MIN_CORRELATION`, and where two places fit
+    as well. Normalized cross-correlation of windows on the half-size images: optical flow does not
+    reach much farther than its window.
     """
     found = np.full(points.shape, np.nan)
     if len(source.levels) < 2:
@@ -117,7 +128,7 @@ def match_templates(
     margin, half = margin_of(source.window), source.window // 2
     before, after = source.levels[1], target.levels[1]
     size = np.array(after.shape[::-1])
-    reach = (np.array([0.5, 0.125]) * reach_px).astype(np.int64) + half
+    reach = (np.outer(reach_px, [0.5, 0.125])).astype(np.int64) + half
     centre = (0.5 * points).round().astype(np.int64) + margin
     middle = (0.5 * around).round().astype(np.int64) + margin
     low, high = np.maximum(middle - reach, 0), np.minimum(middle + reach + 1, size)
@@ -127,9 +138,24 @@ def match_templates(
         patch = before[v - half : v + half + 1, u - half : u + half + 1]
         score = cv2.matchTemplate(after[top:bottom, left:right], patch, cv2.TM_CCOEFF_NORMED)
         _, best, _, corner = cv2.minMaxLoc(score)
-        if best > MIN_CORRELATION:
+        if best > MIN_CORRELATION and not _is_ambiguous(score, corner, half, float(patch.std())):
             found[k] = points[k] + 2.0 * (low[k] + np.array(corner) + half - centre[k])
     return found
+
+
+def _is_ambiguous(score: AnyArray, best: Sequence[int], half: int, contrast: float) -> bool:
+    """Does a patch fit elsewhere as well as at the `best` place (2,) of a map of correlations?
+
+    The next place is the best of those a half window away or more. Their distances, the roots of 1
+    less the correlation, are in a smaller ratio than D. Lowe's. What noise takes off every
+    correlation of a patch of this contrast, in grey levels, tells nothing.
+    """
+    u, v = best
+    others = score.copy()
+    others[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1] = -1.0
+    noise = (NOISE / max(contrast, NOISE)) ** 2
+    next_best = float(others.max())
+    return 1.0 - float(score[v, u]) + noise > RATIO**2 * (1.0 - next_best + noise)
 
 
 class _Filled(NamedTuple):

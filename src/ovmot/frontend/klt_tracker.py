@@ -18,7 +18,7 @@ from ovmot.frontend.feature_search import (
 )
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.prediction import predict_tracks, unexplained_flow
-from ovmot.frontend.prediction_kernel import other_places_compiled
+from ovmot.frontend.prediction_kernel import LEAST_DEPTH_M, other_places_compiled
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.geometry.id_sets import contained
@@ -83,6 +83,7 @@ class KltTracker:
         p_before: FloatArray,
         p_predicted: FloatArray,
         T_now_before: FloatArray,
+        way_m: float,
         focus: Image | None,
         dynamic_id: IntArray,
     ) -> TrackedPoints:
@@ -90,11 +91,12 @@ class KltTracker:
 
         `p_before` (N, 3), metres: the last points in the camera's frame of then, NaN where
         unknown, and `p_predicted` where in that frame they are now, if they move on their own.
-        `T_now_before` (4, 4): predicted motion of the camera since. `focus` (height, width): not
-        zero where more corners are wanted. `dynamic_id` (D,): features that are none of the static
-        ones of which a number is asked for.
+        `T_now_before` (4, 4): predicted motion of the camera since. `way_m`: how far a body
+        that has just come into view may have moved since. `focus` (height, width): not zero where
+        more corners are wanted. `dynamic_id` (D,): features that are none of the static ones of
+        which a number is asked for.
         """
-        tracked = self._track(view, p_before, p_predicted, T_now_before)
+        tracked = self._track(view, p_before, p_predicted, T_now_before, way_m)
         self.patches.keep(tracked.slot)
         self.points = self._with_corners(view, tracked, focus, dynamic_id)
         self._pyramid = view.pyramid
@@ -107,8 +109,9 @@ class KltTracker:
         self._pyramid = view.pyramid
 
     def _track(
-        self, view: View, p_before: FloatArray, p_predicted: FloatArray, T_now_before: FloatArray
-    ) -> TrackedPoints:
+        self, view: View, p_before: FloatArray, p_predicted: FloatArray, T_now_before: FloatArray,
+        way_m: float,
+    ) -> TrackedPoints:  # fmt: skip
         """The last image's points in this one, without those that are lost."""
         last, camera = self.points, view.camera
         cell_px = fine_cell_px(view.image.shape, self._settings)
@@ -127,8 +130,9 @@ class KltTracker:
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
         places = other_places_compiled(last.uv, static_uv, start, first.uv, first.found, half_px)
-        unknown = ~first.found & ~moves & np.isfinite(p_before[:, 0])
-        self._search(view, static_uv, unknown, 2.0 * cell_px, places[2])
+        reach_px = camera.fx * way_m / np.maximum(p_before[:, 2], LEAST_DEPTH_M)
+        unknown = ~first.found & ~moves & (reach_px > half_px)
+        self._search(view, static_uv, unknown, reach_px, places[2])
         now = recover_lost(sought, view, first, places, self._settings, self._helper)
         xy = camera.normalize(now.uv)
         rows, stale = keep_found_compiled(
@@ -154,19 +158,21 @@ class KltTracker:
         )
 
     def _search(
-        self, view: View, static_uv: FloatArray, lost: BoolArray, reach_px: float, out: FloatArray
+        self,
+        view: View,
+        static_uv: FloatArray,
+        lost: BoolArray,
+        reach_px: FloatArray,
+        out: FloatArray,
     ) -> None:
-        """Fill in where new ones of the `lost` points (N,) correlate best (N, 2).
-
-        They may be of a body that has just come into view. A reach of two fine cells is that of
-        10 m/s at 10 m and 10 Hz in a view of 76 degrees.
-        """
+        """Fill in where new ones of the `lost` points (N,) correlate best (N, 2), within `reach_px`
+        (N,) of where they would be at rest: they may be of a body that has just come into view."""
         last = self.points
         rows = np.flatnonzero(lost & (last.track_length < _NEW))
         rows = rows[view.contains(static_uv[rows])]
         if self._pyramid is not None and len(rows):
             out[rows] = match_templates(
-                self._pyramid, view.pyramid, last.uv[rows], static_uv[rows], reach_px
+                self._pyramid, view.pyramid, last.uv[rows], static_uv[rows], reach_px[rows]
             )
 
     def _with_corners(

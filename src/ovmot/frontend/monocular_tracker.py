@@ -60,7 +60,7 @@ class MonocularTracker:
             last = tracker.points
             p_static = self._positions[side]
             points[side] = tracker.step(
-                views[side], p_static, p_static, T, None, feedback.dynamic_id
+                views[side], p_static, p_static, T, 0.0, None, feedback.dynamic_id
             )
             self._positions[side] = positions_by_motion(last, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()

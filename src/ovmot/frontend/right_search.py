@@ -11,6 +11,8 @@ from ovmot.cameras.lens_kernel import packed_camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar_scan_kernel import ScanRules, scan_curves_compiled
 from ovmot.frontend.feature_search import (
+    NOISE,
+    RATIO,
     Found,
     Sought,
     find_features,
@@ -26,9 +28,6 @@ from ovmot.settings import TrackerSettings
 _MOST_DISPARITY = 1.0 / 8.0
 """Of the image's width: 2.6 m of KITTI's rig, 0.6 m of EuRoC's."""
 _LEAST_CORRELATION = float(np.sqrt(0.5))  # half of the variance is explained
-_RATIO = 0.8
-"""Of the distances of the best match and of the next: D. Lowe, IJCV 2004, fig. 11."""
-_NOISE = 2.0  # grey levels, of a camera's picture with its contrast corrected
 
 
 class Pair(NamedTuple):
@@ -94,5 +93,5 @@ def scan_epipolar(pair: Pair, wanted: BoolArray) -> tuple[FloatArray, BoolArray]
     return scan_curves_compiled(
         left.pyramid.levels[1], right.pyramid.levels[1], margin_of(left.pyramid.window),
         points.uv, points.xy, wanted, rig.T_cam1_cam0, *packed_camera(right.camera),
-        ScanRules(least_depth, _LEAST_CORRELATION, _RATIO, _NOISE),
+        ScanRules(least_depth, _LEAST_CORRELATION, RATIO, NOISE),
     )  # fmt: skip

@@ -22,7 +22,7 @@ from ovmot.frontend.right_search import RIGHT_SEARCHES, Pair
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.id_sets import positions
 from ovmot.interfaces import Feedback
-from ovmot.physics import PIXEL_SIGMA
+from ovmot.physics import PIXEL_SIGMA, ROAD_SPEED_SIGMA_MPS
 from ovmot.runtime import helping_thread
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import (
@@ -115,8 +115,9 @@ class StereoTracker:
         p_predicted = p_before + self._displacements(feedback, dt_s)
         shape, cell_px = left.image.shape, fine_cell_px(left.image.shape, self._settings)
         focus = focus_mask(shape, feedback.focus_uv, feedback.focus_radius_px, cell_px)
+        way_m = ROAD_SPEED_SIGMA_MPS[0] * dt_s
         points = self._left.step(
-            left, p_before, p_predicted, T_now_before, focus, feedback.dynamic_id
+            left, p_before, p_predicted, T_now_before, way_m, focus, feedback.dynamic_id
         )
         # match them into the right image, and gate the matches
         if right is None:
