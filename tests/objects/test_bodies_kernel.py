@@ -20,10 +20,11 @@ from ovmot.objects.bodies_kernel import (
     without_parts,
     without_parts_compiled,
 )
-from ovmot.objects.clustering_kernel import NEIGHBOUR_RADIUS_M
+from ovmot.objects.clustering_kernel import OneBody
 from ovmot.objects.measurement_kernel import MeasuredBodies
 from ovmot.physics import gate
 
+ONE = OneBody(radius_m=1.8, velocity_gate=gate(3, 0.95), turn_mps=0.5, width_m=2.6, sigmas=2.0)
 USER = RoadUser(3, 0.5, 1.5, 4.0, 0.3, 4.5)
 
 
@@ -41,7 +42,7 @@ def measured_bodies(
     none, middle = np.zeros((n, 3)), np.stack([np.median(p, axis=0) for p in p_world])
     return MeasuredBodies(
         np.arange(n_members.sum()), np.cumsum(n_members) - n_members, n_members, none, middle, none,
-        velocity, np.zeros((n, 4, 4)), covariance, covariance, np.zeros(n),
+        velocity, np.zeros((n, 4, 4)), covariance,
     ), np.concatenate(p_world)  # fmt: skip
 
 
@@ -132,7 +133,7 @@ def test_parts_of_larger_bodies_are_left_out(kernel: Callable[..., IntArray]) ->
     def points(n: int, ahead: float) -> FloatArray:
         return rng.uniform(-0.3, 0.3, (n, 3)) + ahead * np.array([1.0, 0.0, 0.0])
 
-    reach = NEIGHBOUR_RADIUS_M + 2.0 * np.sqrt(2.0) * 0.3
+    reach = ONE.radius_m + ONE.sigmas * np.sqrt(2.0) * 0.3
     near, far, v = 0.9 * reach, -1.1 * reach - 0.6, np.array([5.0, 0.0, 0.0])
     # points, velocity, track, group, kept
     bodies = [
@@ -149,7 +150,7 @@ def test_parts_of_larger_bodies_are_left_out(kernel: Callable[..., IntArray]) ->
     grouped = Grouped(shuffled[: len(p_world)], track_id, np.array([b[3] for b in bodies]))
     moves = np.ones(len(bodies), np.bool_)
     moves[7] = False
-    kept = kernel(measured, p_world, moves, grouped, 0.5, gate(3, 0.95))
+    kept = kernel(measured, p_world, moves, grouped, ONE)
     assert sorted(kept.tolist()) == [k for k, b in enumerate(bodies) if b[4]]
     assert kept[0] == 1 and (np.diff(measured.n_members[kept]) <= 0).all()
-    assert kernel(measured, p_world, ~moves, grouped, 0.5, gate(3, 0.95)).tolist() == [7]
+    assert kernel(measured, p_world, ~moves, grouped, ONE).tolist() == [7]

@@ -14,19 +14,13 @@ from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.small_matrices import eigen_symmetric, squared_mahalanobis
 from ovmot.kernels.sorting import median, sort_together
 from ovmot.kernels.stereo import transform
-from ovmot.objects.clustering_kernel import (
-    NEIGHBOUR_RADIUS_M,
-    SPREAD_SHARE,
-    compatible,
-    majority,
-)
+from ovmot.objects.clustering_kernel import OneBody, compatible, majority
 from ovmot.objects.measurement_kernel import MeasuredBodies
 
 _LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
 _STEEPEST = 0.1  # slope of a road
 _GROUND_POINTS = 5  # static points around a body that show the ground
 _FEW = 4  # points that may be a part of a body of another group
-_REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
 
 
 class RoadUser(NamedTuple):
@@ -210,8 +204,7 @@ def without_parts(
     p_world: FloatArray,
     moves: BoolArray,
     points: Grouped,
-    turn_mps: float,
-    velocity_gate: float,
+    one: OneBody,
 ) -> IntArray:
     """Those of the bodies that move (B,) which are no part of a larger one, the largest first.
 
@@ -237,7 +230,7 @@ def without_parts(
             if (
                 related
                 and compatible(track_id[body], track_id[larger])
-                and is_part(measured, p_world, body, larger, turn_mps, velocity_gate)
+                and is_part(measured, p_world, body, larger, one)
             ):
                 alone = False
                 break
@@ -249,29 +242,27 @@ def without_parts(
 
 @part
 def is_part(
-    measured: MeasuredBodies, p_world: FloatArray, body: int, larger: int, turn_mps: float,
-    velocity_gate: float,
-) -> bool:  # fmt: skip
+    measured: MeasuredBodies, p_world: FloatArray, body: int, larger: int, one: OneBody
+) -> bool:
     """Has a body the velocity of a larger one, and lies at it?
 
     To the covariance of the difference comes the spread of velocities in a turning body.
     """
-    v, speed, dv = measured.velocity, 0.0, np.empty(3)
+    v, dv = measured.velocity, np.empty(3)
     of_place, of_velocity = np.empty((3, 3)), np.empty((3, 3))
     both = measured.covariance
     for a in range(3):
-        speed += v[larger, a] ** 2
         dv[a] = v[larger, a] - v[body, a]
         for c in range(3):
             of_place[a, c] = both[body, a, c] + both[larger, a, c]
             of_velocity[a, c] = both[body, 3 + a, 3 + c] + both[larger, 3 + a, 3 + c]
     for a in range(3):
-        of_velocity[a, a] += (turn_mps + SPREAD_SHARE * math.sqrt(speed)) ** 2
-    if not squared_mahalanobis(dv, of_velocity) < velocity_gate:
+        of_velocity[a, a] += one.turn_mps**2
+    if not squared_mahalanobis(dv, of_velocity) < one.velocity_gate:
         return False
     values, axes = np.empty(3), np.empty((3, 3))
     eigen_symmetric(of_place, values, axes)
-    reach = NEIGHBOUR_RADIUS_M + _REACH_SIGMAS * math.sqrt(values[2])
+    reach = one.radius_m + one.sigmas * math.sqrt(values[2])
     return bool(least_distance(measured, p_world, body, larger) < reach)
 
 

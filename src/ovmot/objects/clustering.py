@@ -1,16 +1,18 @@
 """Clusters of neighbouring points with one velocity: the candidates for rigid bodies."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.clustering_kernel import PointMotions, cluster_compiled
+from ovmot.objects.clustering_kernel import OneBody, PointMotions, cluster_compiled
 from ovmot.objects.motion_kernel import Limits, moving_points_compiled, points_to_look_at_compiled
 from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
+    CAR_SIZE_M,
     MAX_VEHICLE_SIZE_M,
     TURN_SPREAD_MPS,
     VARIANCE_FACTOR,
@@ -27,6 +29,13 @@ _POINTS_PER_TRACK = 40  # of these, points of one track
 _BRAKING_S = 0.45  # over which one velocity explains also a car on its brakes
 MAX_POINTS = 240
 """That are looked at in a frame; those tracked longest come first."""
+ONE_BODY = OneBody(
+    radius_m=CAR_SIZE_M[1],  # a car's back has texture at both its edges, if nowhere else
+    velocity_gate=gate(3, 0.99),
+    turn_mps=TURN_SPREAD_MPS,
+    width_m=MAX_VEHICLE_SIZE_M[1],
+    sigmas=sqrt(gate(1, 0.95)),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,5 +115,5 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
             points.p_cam0, points.cov_cam0, points.velocity, points.velocity_cov, points.track_id,
             np.ascontiguousarray(points.up),
         ),
-        TURN_SPREAD_MPS, MAX_VEHICLE_SIZE_M[1], gate(3, 0.99), settings.min_points,
+        ONE_BODY, settings.min_points,
     )  # fmt: skip
