@@ -21,6 +21,7 @@ from ovmot.objects.clustering_kernel import (
 )
 from ovmot.physics import gate
 
+NEIGHBOURS = 5
 ONE = OneBody(radius_m=1.8, velocity_gate=gate(3, 0.99), turn_mps=0.5, width_m=2.6, sigmas=2.0)
 
 
@@ -171,7 +172,7 @@ def neighbour_pairs(scaled: FloatArray, radius: float) -> IntArray:
     Mutual ones only, so that bodies side by side with many points stay apart.
     """
     n = len(scaled)
-    k = min(2 + int(np.log(n)), n)  # itself included
+    k = min(NEIGHBOURS + 1, n)
     found = cKDTree(scaled).query(scaled, k=k, distance_upper_bound=radius)
     distance, other = np.asarray(found[0]), np.asarray(found[1])
     a, slot = np.nonzero(np.isfinite(distance[:, 1:]))

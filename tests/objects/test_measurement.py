@@ -106,7 +106,7 @@ def test_points_called_unknown_or_static_are_found_where_they_move_together(
 ) -> None:
     bodies = [(14.0, 0.0, np.array([0.0, 3.0, 0.0]), 0.0, 10)]
     for label in (PointLabel.UNKNOWN, PointLabel.STATIC):
-        assert len(seen(bodies, label=label)) == 1
+        assert len(seen(bodies, label=label, size=(1.8, 4.0, 1.4))) == 1
 
 
 @pytest.mark.parametrize("test", ["covariance", "fixed"])
@@ -117,7 +117,7 @@ def test_what_stands_is_refused_whatever_its_label(seen: Callable[..., Found], t
         bodies = [(12.0, 2.0, rest, 0.0, 20), (25.0, -4.0, rest, 0.0, 20)]
         assert seen(bodies, seed, settings) == ()
     walker = [(8.0, 0.0, np.array([0.0, 1.4, 0.0]), 0.0, 8)]
-    assert len(seen(walker, 0, settings)) == 1
+    assert len(seen(walker, 0, settings, size=(0.5, 0.7, 1.7))) == 1
 
 
 def test_a_far_body_is_measured_though_only_what_crosses_is_known(
@@ -129,7 +129,7 @@ def test_a_far_body_is_measured_though_only_what_crosses_is_known(
     sigma = np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1])
     assert sigma > 0.2
     assert found.velocity[1] == pytest.approx(8.0, abs=0.5)
-    assert seen([(35.0, 0.0, np.array([8.0, 0.0, 0.0]), 0.0, 8)]) == ()
+    assert seen([(35.0, 0.0, np.array([2.0, 0.0, 0.0]), 0.0, 8)]) == ()
 
 
 def test_what_is_high_up_is_no_road_user(

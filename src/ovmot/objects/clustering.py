@@ -1,7 +1,6 @@
 """Clusters of neighbouring points with one velocity: the candidates for rigid bodies."""
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 
@@ -14,19 +13,19 @@ from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
     CAR_SIZE_M,
     MAX_VEHICLE_SIZE_M,
+    STEADY_S,
     TURN_SPREAD_MPS,
     VARIANCE_FACTOR,
     gate,
+    sigmas,
 )
 from ovmot.segmentation.motion_tests import velocity_gates
 from ovmot.segmentation.static_comparison import ego_motion_since, pairs_of, stereo_noise
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
-_MOVES = 4.11  # 75 % of the same: less tells no motion
-_HINT = 4.0  # squared sigmas that make a point worth a closer look
+_MOVES = gate(3, 0.75)  # nearer to rest, a point tells no motion, and is not worth a closer look
 _POINTS_PER_TRACK = 40  # of these, points of one track
-_BRAKING_S = 0.45  # over which one velocity explains also a car on its brakes
 MAX_POINTS = 240
 """That are looked at in a frame; those tracked longest come first."""
 ONE_BODY = OneBody(
@@ -34,7 +33,7 @@ ONE_BODY = OneBody(
     velocity_gate=gate(3, 0.99),
     turn_mps=TURN_SPREAD_MPS,
     width_m=MAX_VEHICLE_SIZE_M[1],
-    sigmas=sqrt(gate(1, 0.95)),
+    sigmas=sigmas(0.975),
 )
 
 
@@ -80,13 +79,13 @@ def motion_history(
     pairs, ego = pairs_of(history), ego_motion_since(history, window, rig)
     candidate = points_to_look_at_compiled(
         pairs, history.cov_now, ego.T_now_then, points.label == int(PointLabel.STATIC),
-        points.pixels, points.track_id, Limits(max_range_m, _HINT, MAX_POINTS, _POINTS_PER_TRACK),
+        points.pixels, points.track_id, Limits(max_range_m, _MOVES, MAX_POINTS, _POINTS_PER_TRACK),
     )  # fmt: skip
     if len(candidate) < settings.min_points:
         return None
     moving = moving_points_compiled(
         pairs, ego, stereo_noise(history, history.noise.sigma_px, rig), candidate, points.track_id,
-        int(np.count_nonzero(history.span_s > _BRAKING_S)), ACCEL_SIGMA_MPS2,
+        int(np.count_nonzero(history.span_s > 0.5 * STEADY_S)), ACCEL_SIGMA_MPS2,
         VARIANCE_FACTOR * velocity_gates(len(history)), _MOVES,
     )  # fmt: skip
     index = moving.point

@@ -15,6 +15,11 @@ from ovmot.kernels.small_matrices import squared_mahalanobis
 from ovmot.kernels.sorting import median, sort_together
 from ovmot.segmentation.neighbour_kernel import nearest
 
+_NEIGHBOURS = 5
+"""Two linked points are among each other's so many nearest ones: ln M for a hundred points. So many
+keep the graph of one cluster in one piece (M. Brito et al., Statistics & Probability Letters 35,
+1997)."""
+
 
 class OneBody(NamedTuple):
     """What the points of one body have in common.
@@ -117,15 +122,12 @@ def scale_depths(
 def linked(points: PointMotions, scaled: FloatArray, one: OneBody) -> IntArray:
     """The first point (M,) of each one's component, by links of mutual neighbours of one velocity.
 
-    Mutual ones only, so that bodies side by side with many points stay apart: of M points, two are
-    linked if each is among the other's 1 + ln M nearest ones. With fewer, the graph of one cluster
-    falls apart (M. Brito et al., Statistics & Probability Letters 35, 1997). Points of different
+    Mutual ones only, so that bodies side by side with many points stay apart; points of different
     tracks are never linked: walkers side by side stay two. Union-find: each points to one with no
     greater index of its own component; roots are joined in turn.
     """
     n = len(scaled)
-    nearest_ones = 1 + int(math.log(max(n, 1)))
-    near, apart = np.empty((n, nearest_ones), np.int64), np.empty(nearest_ones)
+    near, apart = np.empty((n, _NEIGHBOURS), np.int64), np.empty(_NEIGHBOURS)
     count, root = np.empty(n, np.int64), np.arange(n)
     C, dv = np.empty((3, 3)), np.empty(3)
     for k in range(n):

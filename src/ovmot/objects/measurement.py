@@ -35,6 +35,7 @@ from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion
 from ovmot.physics import (
     CAR_SIZE_M,
     LEAST_HEIGHT_M,
+    MAX_SLOPE,
     MAX_VEHICLE_SIZE_M,
     gates,
 )
@@ -123,7 +124,7 @@ def _can_be_bodies(
     """
     user = RoadUser(
         settings.min_points, settings.min_speed_mps, MAX_SIGMA_MPS, MAX_VEHICLE_SIZE_M[2],
-        LEAST_HEIGHT_M, CAR_SIZE_M[0],
+        MAX_SLOPE, LEAST_HEIGHT_M, CAR_SIZE_M[0],
     )  # fmt: skip
     is_static = points.label == int(PointLabel.STATIC)
     return can_be_bodies_compiled(measured, p_world, points.p_cam0, is_static, T_world_cam0, user)
