@@ -7,7 +7,7 @@ they need; none has a value of its own.
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri
 
 from ovmot.geometry.arrays import FloatArray
 
@@ -63,9 +63,14 @@ ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
 a slope of 5 % at that speed."""
 ROAD_USER_AREA_M2 = 70.0
 """Road with one road user on it: on a lane of 3.5 m, two seconds apart at 36 km/h."""
+MAX_SLOPE = 0.12
+"""Of a street: the greatest grade of urban collectors in mountains, at 30 mph (AASHTO, A Policy on
+Geometric Design of Highways and Streets, 6.3)."""
 MANOEUVRE_S = 2.0
 """A road user keeps its acceleration and its yaw rate for about this long: their correlation time
 (R. Singer, IEEE TAES 1970)."""
+STEADY_S = 0.5 * MANOEUVRE_S
+"""Over this a road user goes steadily enough to be measured by one velocity."""
 YAW_RATE_SIGMA_RPS = 0.25
 """Standard deviation of a road user's yaw rate: the acceleration above across its way, at 6 m/s."""
 LEAST_HEADWAY_S = 0.5
@@ -89,6 +94,8 @@ MAX_VEHICLE_SIZE_M = (18.75, 2.6, 4.0)
 WALKER_MPS, WALKER_SIGMA_MPS = 1.34, 0.26
 """Mean speed of walkers and its standard deviation (U. Weidmann, Transporttechnik der Fussgänger,
 1993)."""
+SLOW_MPS = 0.5
+"""Half of the slowest walking (R. Bohannon, Age and Ageing 26, 1997: comfortable gait from 1.0)."""
 CYCLIST_MPS, CYCLIST_SIGMA_MPS = 4.25, 1.2
 """Mean speed of cyclists on ordinary bicycles in town, 15.3 km/h (K. Schleinitz et al., Safety
 Science 92, 2017), and its standard deviation."""
@@ -121,6 +128,12 @@ def tracked_pixel_sigma(n_frames: float) -> float:
     White noise and drift: 0.7 px over 15 frames, the filter's window; 1.5 px over 100 frames.
     """
     return float(np.sqrt(PIXEL_SIGMA**2 + n_frames * PATCH_DRIFT_PX**2))
+
+
+@lru_cache(maxsize=64)
+def sigmas(probability: float) -> float:
+    """Standard deviations that a Gaussian error stays below, on one side, with this probability."""
+    return float(ndtri(probability))
 
 
 @lru_cache(maxsize=4096)

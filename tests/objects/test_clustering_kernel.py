@@ -14,20 +14,15 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.geometry.triangulation import squared_distance
 from ovmot.objects.clustering_kernel import (
-    NEIGHBOUR_RADIUS_M,
-    SPREAD_SHARE,
+    OneBody,
     PointMotions,
     cluster,
     cluster_compiled,
 )
 from ovmot.physics import gate
 
-WIDTH_M, TURN_MPS = 2.6, 0.5
-REACH_SIGMAS = 2.0
 NEIGHBOURS = 5
-KNOWN_REACH = 2.0
-WIDTH_SIGMAS = 4.0
-LEAST_GAP_M = 0.5
+ONE = OneBody(radius_m=1.8, velocity_gate=gate(3, 0.99), turn_mps=0.5, width_m=2.6, sigmas=2.0)
 
 
 def street(seed: int) -> PointMotions:
@@ -61,7 +56,7 @@ def test_clusters_are_those_of_the_twin(
     sizes = []
     for seed in range(8):
         points = street(seed)
-        order, size = search(points, TURN_MPS, WIDTH_M, gate(3, 0.99), 3)
+        order, size = search(points, ONE, 3)
         expected = twin(points, 3)
         found = np.split(order, np.cumsum(size)[:-1])
         assert [g.tolist() for g in found] == [g.tolist() for g in expected]
@@ -71,8 +66,8 @@ def test_clusters_are_those_of_the_twin(
 
 def twin(points: PointMotions, min_points: int) -> list[IntArray]:
     """The clusters, by k-d tree, graph search and NumPy."""
-    scaled = depth_scaled(points.p, points.cov, NEIGHBOUR_RADIUS_M)
-    pairs = neighbour_pairs(scaled, NEIGHBOUR_RADIUS_M)
+    scaled = depth_scaled(points.p, points.cov, ONE.radius_m)
+    pairs = neighbour_pairs(scaled, ONE.radius_m)
     pairs = pairs[same_velocity(points, pairs) & compatible_pairs(points.track_id[pairs])]
     n = len(scaled)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
@@ -100,8 +95,7 @@ def split_at_gap(points: PointMotions, index: IntArray) -> list[IntArray]:
     lateral, sigma = lateral_positions(points, index)
     order = np.argsort(lateral)
     gaps = np.diff(lateral[order])
-    wide = np.ptp(lateral) - WIDTH_SIGMAS * sigma > WIDTH_M
-    if not wide or gaps.max() < LEAST_GAP_M + REACH_SIGMAS * sigma:
+    if np.ptp(lateral) - 4.0 * sigma <= ONE.width_m:
         return [index]
     cut = int(np.argmax(gaps)) + 1
     sides = index[order[:cut]], index[order[cut:]]
@@ -135,17 +129,15 @@ def are_one_body(
     if track_id != other and min(track_id, other) >= 0:
         return False
     same_track = track_id == other >= 0  # the far end of a lorry
-    reach = NEIGHBOUR_RADIUS_M * (KNOWN_REACH if same_track else 1.0)
-    if distance[group[:, None], part].min() > reach:
+    if not same_track and distance[group[:, None], part].min() > ONE.radius_m:
         return False
     v_group, v_part = (median(points.velocity[index]) for index in (group, part))
     C = sum(points.velocity_cov[index].mean(0) / len(index) for index in (group, part))
-    spread = TURN_MPS + SPREAD_SHARE * np.linalg.norm(v_group)
     error = v_part - v_group
-    if error @ np.linalg.solve(C + spread**2 * np.eye(3), error) >= gate(3, 0.99):
+    if error @ np.linalg.solve(C + ONE.turn_mps**2 * np.eye(3), error) >= ONE.velocity_gate:
         return False
     lateral, sigma = lateral_positions(points, np.concatenate([group, part]))
-    return bool(np.ptp(lateral) - 2.0 * sigma < WIDTH_M)
+    return bool(np.ptp(lateral) - 4.0 * sigma <= ONE.width_m)
 
 
 def majority_track(track_id: IntArray) -> int:
@@ -169,7 +161,7 @@ def depth_scaled(p_cam0: FloatArray, cov_cam0: FloatArray, radius: float) -> Flo
     """
     z = p_cam0[:, 2]
     # The difference of two points has √2 times the deviation of one.
-    ks = REACH_SIGMAS * np.sqrt(2.0) * float(np.median(np.sqrt(cov_cam0[:, 2, 2]) / z**2))
+    ks = ONE.sigmas * np.sqrt(2.0) * float(np.median(np.sqrt(cov_cam0[:, 2, 2]) / z**2))
     u = np.sqrt(radius / ks) * np.arctan(z * np.sqrt(ks / radius))
     return np.column_stack([p_cam0[:, :2], u])
 
@@ -194,6 +186,6 @@ def same_velocity(points: PointMotions, pairs: IntArray) -> BoolArray:
     """Which pairs (P,) have velocities that agree within their covariance."""
     a, b = pairs[:, 0], pairs[:, 1]
     dv = points.velocity[a] - points.velocity[b]
-    C = points.velocity_cov[a] + points.velocity_cov[b] + TURN_MPS**2 * np.eye(3)
-    agrees: BoolArray = squared_distance(dv, C) < gate(3, 0.99)
+    C = points.velocity_cov[a] + points.velocity_cov[b] + ONE.turn_mps**2 * np.eye(3)
+    agrees: BoolArray = squared_distance(dv, C) < ONE.velocity_gate
     return agrees

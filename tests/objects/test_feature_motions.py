@@ -40,5 +40,5 @@ def test_what_is_too_old_is_dropped() -> None:
     history = FeatureHistory()
     p_world = np.array([[10.0, 1.0, 0.5]])
     history.add(0, seen_at(p_world, [4]), T_WORLD_CAM0)
-    late = history.add(10 * FRAME_NS, seen_at(p_world, [4]), T_WORLD_CAM0)
+    late = history.add(11 * FRAME_NS, seen_at(p_world, [4]), T_WORLD_CAM0)
     assert not late.known.any()

@@ -8,8 +8,8 @@ from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.rigid_kernel import (
-    BATCH,
     HEIGHT_SIGMAS,
+    TRIPLES,
     Sample,
     best_row,
     ransac,
@@ -55,7 +55,7 @@ def twin(
 
 @pytest.mark.parametrize("twist", [TURN, np.array([0.0, 0.0, 0.0, 0.5, 0.1, 1.5])])
 def test_the_search_equals_its_twin(rig: StereoRig, twist: FloatArray) -> None:
-    """As many batches of the same triples are drawn, and the best of all proposals is found."""
+    """The same triples are drawn, and the best of all proposals is found."""
     rng = np.random.default_rng(4)
     p = rng.uniform([-2.0, -1.0, 12.0], [2.0, 1.0, 15.0], (20, 3))
     q = se3.apply(se3.exp(twist), p) + rng.normal(0.0, 0.01, p.shape)
@@ -68,7 +68,7 @@ def test_the_search_equals_its_twin(rig: StereoRig, twist: FloatArray) -> None:
     sample = Sample(p, q, sigma, seen, weight)
     n = ransac(sample, T10, GATE, TURN_PENALTY, least_cosine, drawing, T, inlier)
     same = np.random.default_rng(7)
-    triples = np.argsort(same.random((BATCH, 20)), axis=1)[:, :3].copy()
+    triples = np.argsort(same.random((TRIPLES, 20)), axis=1)[:, :3].copy()
     expected = twin(triples, p, q, sigma, seen, weight, T10, least_cosine, GATE, TURN_PENALTY)
     np.testing.assert_allclose(T, expected[1], atol=1e-9)
     np.testing.assert_array_equal(inlier, expected[2])

@@ -28,7 +28,7 @@ def _motions(velocity: FloatArray, C: FloatArray, shift: FloatArray, n: int = 4)
     T_now_before = np.stack([np.zeros((4, 4)), se3.make(np.eye(3), shift)])
     measured = MeasuredBodies(
         np.arange(4), zeros, np.array([0, n]), none, none, none, np.stack([none[0], velocity]),
-        T_now_before, covariance, covariance, np.zeros(2),
+        T_now_before, covariance,
     )  # fmt: skip
     return FoundMotions(measured, POINTS, np.eye(4))
 

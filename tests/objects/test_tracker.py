@@ -79,9 +79,8 @@ def measure(
     e = rng.multivariate_normal(np.zeros(6), P)
     return ObjectMeasurement(
         feature_id=body.feature_id, p_world=body.points_at(t), position=position + e[:3],
-        velocity=velocity + e[3:], yaw_rate=body.yaw_rate + rng.normal(0.0, 0.05),
-        T_now_before=np.eye(4), span_s=0.1, covariance=P, scaled_covariance=P,
-        yaw_rate_variance=0.05**2, size=SIZE,
+        velocity=velocity + e[3:], T_now_before=np.eye(4), span_s=0.1, covariance=P,
+        size=SIZE + rng.normal(0.0, 0.05),
     )  # fmt: skip
 
 

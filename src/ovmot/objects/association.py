@@ -8,6 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.geometry.id_sets import contained
 from ovmot.objects.association_kernel import Bodies, SeenParts, compare_compiled
+from ovmot.objects.body import LEAST_SEEN
 from ovmot.objects.measurement import ObjectMeasurement
 from ovmot.objects.track import (
     CENTRE_SHARE,
@@ -20,7 +21,6 @@ from ovmot.physics import CAR_SIZE_M, ROAD_SPEED_SIGMA_MPS, ROAD_USER_AREA_M2, g
 
 _NEW = 0.1  # probability that a road user in view is not tracked yet
 _SEEN_PARTS = SeenParts(CENTRE_SHARE, LEAST_CENTRE_SIGMA_M, DRIVES_MPS, CAR_SIZE_M[0])
-_SHARED = 2  # common features by which a pair is possible in a wider gate
 
 
 def associate(
@@ -103,12 +103,12 @@ def assign(distance: FloatArray, share: FloatArray, count: IntArray) -> list[tup
     """Pairs (track, measurement) of least total cost (Hungarian method).
 
     `distance` (T, M): squared Mahalanobis distances, 6 degrees of freedom; `share`, `count` (T, M):
-    common features. A pair is possible within the gate, or with two common features within a wider
-    one. A track without a measurement costs as much as the worst pair: none gives way to make
-    another pair possible.
+    common features. A pair is possible within the gate, or with so many common features as show a
+    body within a wider one. A track without a measurement costs as much as the worst pair: none
+    gives way to make another pair possible.
     """
     narrow, wide = gate(6, 0.999), gate(6, 1.0 - 1e-12)
-    possible = (distance < narrow) | ((count >= _SHARED) & (distance < wide))
+    possible = (distance < narrow) | ((count >= LEAST_SEEN) & (distance < wide))
     cost = np.minimum(distance / narrow, 1.0) + (1.0 - share)
     tracks, measurements = linear_sum_assignment(np.where(possible, cost, 2.0))
     return [(int(i), int(j)) for i, j in zip(tracks, measurements, strict=True) if possible[i, j]]

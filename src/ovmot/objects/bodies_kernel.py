@@ -14,26 +14,18 @@ from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.kernels.small_matrices import eigen_symmetric, squared_mahalanobis
 from ovmot.kernels.sorting import median, sort_together
 from ovmot.kernels.stereo import transform
-from ovmot.objects.clustering_kernel import (
-    NEIGHBOUR_RADIUS_M,
-    SPREAD_SHARE,
-    compatible,
-    majority,
-)
+from ovmot.objects.clustering_kernel import OneBody, compatible, majority
 from ovmot.objects.measurement_kernel import MeasuredBodies
 
-_LEAK = 0.3  # share of a wrong motion along the ray that shows across it: the rays of a body differ
-_STEEPEST = 0.1  # slope of a road
-_GROUND_POINTS = 5  # static points around a body that show the ground
 _FEW = 4  # points that may be a part of a body of another group
-_REACH_SIGMAS = 2.0  # beyond the radius, between parts of one body
 
 
 class RoadUser(NamedTuple):
     """What a body must be: of `min_points`, at `min_speed_mps` or faster.
 
     A direction in which the velocity is known no better than `max_sigma_mps` does not count. It is
-    at most `highest_m` above the camera, and at least `least_height_m` above the ground that static
+    at most `highest_m` above the camera, where the road has no slope, and more by `max_slope` of
+    its distance; and at least `least_height_m` above the ground that static
     points within `ground_radius_m` show.
     """
 
@@ -41,6 +33,7 @@ class RoadUser(NamedTuple):
     min_speed_mps: float
     max_sigma_mps: float
     highest_m: float
+    max_slope: float
     least_height_m: float
     ground_radius_m: float
 
@@ -82,10 +75,9 @@ def can_be_bodies(
         own = measured.members[measured.first[b] : measured.first[b] + measured.n_members[b]]
         out[b] = (
             len(own) >= user.min_points
-            and not is_aloft(measured.middle[b], T_world_cam0, user.highest_m)
+            and not is_aloft(measured.middle[b], T_world_cam0, user)
             and is_fast(measured.velocity[b], measured.covariance[b], user)
-            and not height_above_ground(p_world, own, static, user.ground_radius_m)
-            < user.least_height_m
+            and not height_above_ground(p_world, own, static, user) < user.least_height_m
         )
     return out
 
@@ -102,7 +94,7 @@ def world_points(p_cam0: FloatArray, chosen: BoolArray, T_world_cam0: FloatArray
 
 
 @part
-def is_aloft(middle: FloatArray, T_world_cam0: FloatArray, highest_m: float) -> bool:
+def is_aloft(middle: FloatArray, T_world_cam0: FloatArray, user: RoadUser) -> bool:
     """Is a body whose points have this median (3,) higher than road users are?
 
     Repeated windows that are all matched to their neighbours appear at ρ times their distance, and
@@ -110,7 +102,7 @@ def is_aloft(middle: FloatArray, T_world_cam0: FloatArray, highest_m: float) -> 
     """
     x, y = middle[0] - T_world_cam0[0, 3], middle[1] - T_world_cam0[1, 3]
     above = middle[2] - T_world_cam0[2, 3]
-    return bool(above > highest_m + _STEEPEST * math.sqrt(x * x + y * y))
+    return bool(above > user.highest_m + user.max_slope * math.hypot(x, y))
 
 
 @part
@@ -140,30 +132,24 @@ def known_part(
 
 @part
 def is_fast(velocity: FloatArray, covariance: FloatArray, user: RoadUser) -> bool:
-    """Is the known part of a body's velocity (3,) fast enough to be a measurement?
-
-    And greater than what a drift of its patches along their rays, the unknown part, leaves in it.
-    """
+    """Is the known part of a body's velocity (3,) fast enough to be a measurement?"""
     known, _ = known_part(velocity, covariance, user.max_sigma_mps)
-    known_squared, squared = 0.0, 0.0
+    squared = 0.0
     for k in range(len(known)):
-        known_squared += known[k] ** 2
-    for a in range(3):
-        squared += velocity[a] ** 2
-    leaked = _LEAK**2 * max(squared - known_squared, 0.0)
-    return bool(known_squared > max(user.min_speed_mps**2, leaked))
+        squared += known[k] ** 2
+    return bool(squared > user.min_speed_mps**2)
 
 
 @part
 def height_above_ground(
-    p_world: FloatArray, own: IntArray, static: FloatArray, radius: float
+    p_world: FloatArray, own: IntArray, static: FloatArray, user: RoadUser
 ) -> float:
     """How far the highest tenth of a body's `own` points begins above the ground; infinite if not
     known.
 
     Patches of a road seen at a grazing angle drift together, as a body would. The ground is the
-    height below which a tenth of the static points (M, 3) within `radius` metres of the points'
-    mean are, if there are enough of them.
+    height below which a tenth of the static points (M, 3) around the points' mean are, if they are
+    as many as make a body.
     """
     x, y, n = 0.0, 0.0, 0
     tops, near = np.empty(len(own)), np.empty(len(static))
@@ -172,10 +158,10 @@ def height_above_ground(
         y += p_world[own[k], 1] / len(own)
         tops[k] = p_world[own[k], 2]
     for k in range(len(static)):
-        if (static[k, 0] - x) ** 2 + (static[k, 1] - y) ** 2 < radius**2:
+        if (static[k, 0] - x) ** 2 + (static[k, 1] - y) ** 2 < user.ground_radius_m**2:
             near[n] = static[k, 2]
             n += 1
-    if n < _GROUND_POINTS:
+    if n < user.min_points:
         return math.inf
     top = ranked(tops, len(own), len(own) - 1 - len(own) // 10)
     return top - ranked(near, n, n // 10)
@@ -210,8 +196,7 @@ def without_parts(
     p_world: FloatArray,
     moves: BoolArray,
     points: Grouped,
-    turn_mps: float,
-    velocity_gate: float,
+    one: OneBody,
 ) -> IntArray:
     """Those of the bodies that move (B,) which are no part of a larger one, the largest first.
 
@@ -233,11 +218,11 @@ def without_parts(
         body, alone = order[k], True
         for j in range(n_kept):
             larger = order[j]
-            related = measured.n_members[body] <= _FEW or points.group[body] == points.group[larger]
+            related = points.group[body] == points.group[larger]
             if (
-                related
+                (related or measured.n_members[body] <= _FEW)
                 and compatible(track_id[body], track_id[larger])
-                and is_part(measured, p_world, body, larger, turn_mps, velocity_gate)
+                and is_part(measured, p_world, body, larger, one)
             ):
                 alone = False
                 break
@@ -249,29 +234,27 @@ def without_parts(
 
 @part
 def is_part(
-    measured: MeasuredBodies, p_world: FloatArray, body: int, larger: int, turn_mps: float,
-    velocity_gate: float,
-) -> bool:  # fmt: skip
+    measured: MeasuredBodies, p_world: FloatArray, body: int, larger: int, one: OneBody
+) -> bool:
     """Has a body the velocity of a larger one, and lies at it?
 
     To the covariance of the difference comes the spread of velocities in a turning body.
     """
-    v, speed, dv = measured.velocity, 0.0, np.empty(3)
+    v, dv = measured.velocity, np.empty(3)
     of_place, of_velocity = np.empty((3, 3)), np.empty((3, 3))
     both = measured.covariance
     for a in range(3):
-        speed += v[larger, a] ** 2
         dv[a] = v[larger, a] - v[body, a]
         for c in range(3):
             of_place[a, c] = both[body, a, c] + both[larger, a, c]
             of_velocity[a, c] = both[body, 3 + a, 3 + c] + both[larger, 3 + a, 3 + c]
     for a in range(3):
-        of_velocity[a, a] += (turn_mps + SPREAD_SHARE * math.sqrt(speed)) ** 2
-    if not squared_mahalanobis(dv, of_velocity) < velocity_gate:
+        of_velocity[a, a] += one.turn_mps**2
+    if not squared_mahalanobis(dv, of_velocity) < one.velocity_gate:
         return False
     values, axes = np.empty(3), np.empty((3, 3))
     eigen_symmetric(of_place, values, axes)
-    reach = NEIGHBOUR_RADIUS_M + _REACH_SIGMAS * math.sqrt(values[2])
+    reach = one.radius_m + one.sigmas * math.sqrt(values[2])
     return bool(least_distance(measured, p_world, body, larger) < reach)
 
 

@@ -6,6 +6,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body import (
+    LEAST_SEEN,
     VelocityPrior,
     advance,
     empty_body,
@@ -17,8 +18,6 @@ from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.frame_views import drift_variance, ego_step, views_then
 from ovmot.objects.motion_evidence import Origin
 from ovmot.types import PoseWindow
-
-_LEAST = 3  # features in a frame: a body's motion
 
 
 def start_body(
@@ -38,7 +37,7 @@ def start_body(
     """
     own = np.flatnonzero(np.isin(history.feature_id, feature_id))
     shown = np.isfinite(history.p_then[:, own, 2]).sum(1)
-    rows = np.flatnonzero(shown >= _LEAST).tolist()
+    rows = np.flatnonzero(shown >= LEAST_SEEN).tolist()
     earlier = views_then(history, rows, feature_id, frame.timestamp_ns, window, rig)
     frames = [*earlier, _after(frame, history, rows, window, rig)]
     first = frames[0]

@@ -7,26 +7,34 @@ import numpy as np
 from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.clustering_kernel import PointMotions, cluster_compiled
+from ovmot.objects.clustering_kernel import OneBody, PointMotions, cluster_compiled
 from ovmot.objects.motion_kernel import Limits, moving_points_compiled, points_to_look_at_compiled
 from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
+    CAR_SIZE_M,
     MAX_VEHICLE_SIZE_M,
+    STEADY_S,
     TURN_SPREAD_MPS,
     VARIANCE_FACTOR,
     gate,
+    sigmas,
 )
 from ovmot.segmentation.motion_tests import velocity_gates
 from ovmot.segmentation.static_comparison import ego_motion_since, pairs_of, stereo_noise
 from ovmot.settings import ObjectSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
 
-_MOVES = 4.11  # 75 % of the same: less tells no motion
-_HINT = 4.0  # squared sigmas that make a point worth a closer look
+_MOVES = gate(3, 0.75)  # nearer to rest, a point tells no motion, and is not worth a closer look
 _POINTS_PER_TRACK = 40  # of these, points of one track
-_BRAKING_S = 0.45  # over which one velocity explains also a car on its brakes
 MAX_POINTS = 240
 """That are looked at in a frame; those tracked longest come first."""
+ONE_BODY = OneBody(
+    radius_m=CAR_SIZE_M[1],  # a car's back has texture at both its edges, if nowhere else
+    velocity_gate=gate(3, 0.99),
+    turn_mps=TURN_SPREAD_MPS,
+    width_m=MAX_VEHICLE_SIZE_M[1],
+    sigmas=sigmas(0.975),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +79,13 @@ def motion_history(
     pairs, ego = pairs_of(history), ego_motion_since(history, window, rig)
     candidate = points_to_look_at_compiled(
         pairs, history.cov_now, ego.T_now_then, points.label == int(PointLabel.STATIC),
-        points.pixels, points.track_id, Limits(max_range_m, _HINT, MAX_POINTS, _POINTS_PER_TRACK),
+        points.pixels, points.track_id, Limits(max_range_m, _MOVES, MAX_POINTS, _POINTS_PER_TRACK),
     )  # fmt: skip
     if len(candidate) < settings.min_points:
         return None
     moving = moving_points_compiled(
         pairs, ego, stereo_noise(history, history.noise.sigma_px, rig), candidate, points.track_id,
-        int(np.count_nonzero(history.span_s > _BRAKING_S)), ACCEL_SIGMA_MPS2,
+        int(np.count_nonzero(history.span_s > 0.5 * STEADY_S)), ACCEL_SIGMA_MPS2,
         VARIANCE_FACTOR * velocity_gates(len(history)), _MOVES,
     )  # fmt: skip
     index = moving.point
@@ -106,5 +114,5 @@ def group_points(points: MotionHistory, settings: ObjectSettings) -> tuple[IntAr
             points.p_cam0, points.cov_cam0, points.velocity, points.velocity_cov, points.track_id,
             np.ascontiguousarray(points.up),
         ),
-        TURN_SPREAD_MPS, MAX_VEHICLE_SIZE_M[1], gate(3, 0.99), settings.min_points,
+        ONE_BODY, settings.min_points,
     )  # fmt: skip

@@ -15,15 +15,25 @@ from ovmot.kernels.small_matrices import squared_mahalanobis
 from ovmot.kernels.sorting import median, sort_together
 from ovmot.segmentation.neighbour_kernel import nearest
 
-NEIGHBOUR_RADIUS_M = 1.8
-"""Points of one body have a neighbour within this."""
-SPREAD_SHARE = 0.05
-"""Of the speed, by which points of one body may differ."""
-_REACH_SIGMAS = 2.0  # of the position, on top of the radius and of a gap
-_NEIGHBOURS = 5  # two linked points are among each other's so many nearest ones
-_KNOWN_REACH = 2.0  # of the radius, between parts of one track
-_WIDTH_SIGMAS = 4.0  # by which points of one body may scatter beyond it
-_LEAST_GAP_M = 0.5  # between two vehicles side by side
+_NEIGHBOURS = 5
+"""Two linked points are among each other's so many nearest ones: ln M for a hundred points. So many
+keep the graph of one cluster in one piece (M. Brito et al., Statistics & Probability Letters 35,
+1997)."""
+
+
+class OneBody(NamedTuple):
+    """What the points of one body have in common.
+
+    Each has a neighbour within `radius_m`; velocities agree within `velocity_gate`, a squared
+    Mahalanobis distance, and `turn_mps`, by which points of a turning body differ; they are within
+    `width_m` across their way. A place may be off by so many standard deviations, `sigmas`.
+    """
+
+    radius_m: float
+    velocity_gate: float
+    turn_mps: float
+    width_m: float
+    sigmas: float
 
 
 class PointMotions(NamedTuple):
@@ -41,23 +51,20 @@ class PointMotions(NamedTuple):
     up: FloatArray
 
 
-def cluster(
-    points: PointMotions, turn_mps: float, width_m: float, velocity_gate: float, min_points: int
-) -> tuple[IntArray, IntArray]:
+def cluster(points: PointMotions, one: OneBody, min_points: int) -> tuple[IntArray, IntArray]:
     """Indices of the points (K,) of all clusters, one after the other, and the sizes (G,).
 
-    Connected components of neighbours with one velocity, split at gaps across it. Components that
-    have one velocity, touch, and together are no wider than a body are merged, the largest first.
-    Velocities agree within `velocity_gate` and `turn_mps`, by which a turning body's points differ;
-    a body is at most `width_m` wide.
+    Connected components of neighbours with one velocity, split at gaps across it where they are
+    wider than a body. Components that have one velocity, touch or are of one track, and together
+    are no wider than a body are merged, the largest first.
     """
     n = len(points.p)
     scaled, values, lateral = np.empty((n, 3)), np.empty(n), np.empty(n)
     order, start = np.empty(n, np.int64), np.empty(n + 1, np.int64)
-    scale_depths(points, scaled, values)
-    root = linked(points, scaled, turn_mps, velocity_gate)
+    scale_depths(points, one, scaled, values)
+    root = linked(points, scaled, one)
     n_parts = several(root, order, start)
-    n_parts = split_at_gaps(points, order, start, n_parts, width_m, values, lateral)
+    n_parts = split_at_gaps(points, one, order, start, n_parts, values, lateral)
     by_size, key = np.empty(n_parts, np.int64), np.empty(n_parts)
     for k in range(n_parts):  # stable: of one size the first comes first
         by_size[k], key[k] = k, k - float(n + 1) * (start[k + 1] - start[k])
@@ -70,7 +77,7 @@ def cluster(
         for g in range(n_groups):
             group = members[g, : size[g]]
             if may_touch(points, scaled, group, part_of_it) and are_one_body(
-                points, group, part_of_it, turn_mps, width_m, velocity_gate, values, lateral, both
+                points, one, group, part_of_it, values, lateral, both
             ):
                 chosen = g
                 break
@@ -91,18 +98,20 @@ def cluster(
 
 
 @part
-def scale_depths(points: PointMotions, scaled: FloatArray, values: FloatArray) -> None:
+def scale_depths(
+    points: PointMotions, one: OneBody, scaled: FloatArray, values: FloatArray
+) -> None:
     """Points (M, 3) in units of the radius, the depth scaled so that it is one along the ray too.
 
     The standard deviation of stereo depth is s z², so that the reach along the ray is r + k s z².
     In the depth u(z) = ∫ r dz / (r + k s z²) = sqrt(r / k s) atan(z sqrt(k s / r)) it is r
     everywhere.
     """
-    n, radius = len(points.p), NEIGHBOUR_RADIUS_M
+    n, radius = len(points.p), one.radius_m
     for k in range(n):
         values[k] = math.sqrt(points.cov[k, 2, 2]) / points.p[k, 2] ** 2
     # the difference of two points has √2 times the deviation of one
-    ks = _REACH_SIGMAS * math.sqrt(2.0) * median(values, n)
+    ks = one.sigmas * math.sqrt(2.0) * median(values, n)
     for k in range(n):
         scaled[k, 0], scaled[k, 1] = points.p[k, 0] / radius, points.p[k, 1] / radius
         u = math.sqrt(radius / ks) * math.atan(points.p[k, 2] * math.sqrt(ks / radius))
@@ -110,9 +119,7 @@ def scale_depths(points: PointMotions, scaled: FloatArray, values: FloatArray) -
 
 
 @part
-def linked(
-    points: PointMotions, scaled: FloatArray, turn_mps: float, velocity_gate: float
-) -> IntArray:
+def linked(points: PointMotions, scaled: FloatArray, one: OneBody) -> IntArray:
     """The first point (M,) of each one's component, by links of mutual neighbours of one velocity.
 
     Mutual ones only, so that bodies side by side with many points stay apart; points of different
@@ -136,8 +143,8 @@ def linked(
                 dv[i] = points.velocity[a, i] - points.velocity[b, i]
                 for j in range(3):
                     C[i, j] = points.velocity_cov[a, i, j] + points.velocity_cov[b, i, j]
-                C[i, i] += turn_mps**2
-            if squared_mahalanobis(dv, C) < velocity_gate:
+                C[i, i] += one.turn_mps**2
+            if squared_mahalanobis(dv, C) < one.velocity_gate:
                 first, second = root_of(root, a), root_of(root, b)
                 root[max(first, second)] = min(first, second)
     for k in range(n):
@@ -183,7 +190,7 @@ def several(root: IntArray, order: IntArray, start: IntArray) -> int:
 
 @part
 def split_at_gaps(
-    points: PointMotions, order: IntArray, start: IntArray, n_parts: int, width_m: float,
+    points: PointMotions, one: OneBody, order: IntArray, start: IntArray, n_parts: int,
     values: FloatArray, lateral: FloatArray,
 ) -> int:  # fmt: skip
     """The number of parts, those that are wider than a body split at their widest gaps.
@@ -201,8 +208,7 @@ def split_at_gaps(
         for m in range(1, n):
             if lateral[m] - lateral[m - 1] > gap:
                 gap, cut = lateral[m] - lateral[m - 1], m
-        wide = n > 1 and lateral[n - 1] - lateral[0] - _WIDTH_SIGMAS * sigma > width_m
-        if not wide or gap < _LEAST_GAP_M + _REACH_SIGMAS * sigma:
+        if not is_wide(lateral[n - 1] - lateral[0], sigma, one):
             k += 1
             continue
         for m in range(n):
@@ -212,6 +218,12 @@ def split_at_gaps(
         start[k + 1] = start[k] + cut
         n_parts += 1
     return n_parts
+
+
+@part
+def is_wide(across: float, sigma: float, one: OneBody) -> bool:
+    """Are the outermost points, each known to `sigma`, farther apart than a body is wide?"""
+    return across - 2.0 * one.sigmas * sigma > one.width_m
 
 
 @part
@@ -266,39 +278,38 @@ def median_velocity(
 
 @part
 def may_touch(points: PointMotions, scaled: FloatArray, group: IntArray, other: IntArray) -> bool:
-    """Are two sets of points not of two tracks, and near each other?"""
+    """Are two sets of points not of two tracks, and of one track or near each other?"""
     track_id, of_other = majority(points.track_id, group), majority(points.track_id, other)
     if not compatible(track_id, of_other):
         return False
-    same = track_id == of_other and track_id >= 0  # the far end of a lorry
-    reach = _KNOWN_REACH if same else 1.0
+    if track_id == of_other and track_id >= 0:  # the far end of a lorry
+        return True
     for i in group:
         for j in other:
             d0, d1 = scaled[i, 0] - scaled[j, 0], scaled[i, 1] - scaled[j, 1]
             d2 = scaled[i, 2] - scaled[j, 2]
-            if d0 * d0 + d1 * d1 + d2 * d2 <= reach * reach:
+            if d0 * d0 + d1 * d1 + d2 * d2 <= 1.0:
                 return True
     return False
 
 
 @part
 def are_one_body(
-    points: PointMotions, group: IntArray, other: IntArray, turn_mps: float, width_m: float,
-    velocity_gate: float, values: FloatArray, lateral: FloatArray, both: IntArray,
+    points: PointMotions, one: OneBody, group: IntArray, other: IntArray, values: FloatArray,
+    lateral: FloatArray, both: IntArray,
 ) -> bool:  # fmt: skip
     """Have two sets of points one velocity, and measure together no more across than a body?"""
     v, w = (
         median_velocity(points, group, len(group), values),
         median_velocity(points, other, len(other), values),
     )
-    spread = turn_mps + SPREAD_SHARE * math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     C, dv = np.zeros((3, 3)), np.empty(3)
     for a in range(3):
         dv[a] = v[a] - w[a]
-        C[a, a] = spread**2
+        C[a, a] = one.turn_mps**2
     add_mean_covariance(points.velocity_cov, group, C)
     add_mean_covariance(points.velocity_cov, other, C)
-    if not squared_mahalanobis(dv, C) < velocity_gate:
+    if not squared_mahalanobis(dv, C) < one.velocity_gate:
         return False
     n = len(group) + len(other)
     for k in range(n):
@@ -307,7 +318,7 @@ def are_one_body(
     least, most = lateral[0], lateral[0]
     for k in range(n):
         least, most = min(least, lateral[k]), max(most, lateral[k])
-    return bool(most - least - 2.0 * sigma < width_m)
+    return not is_wide(most - least, sigma, one)
 
 
 @part

@@ -10,10 +10,9 @@ import numpy as np
 
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.objects.features_kernel import feature_motions_compiled, places_of_compiled
-from ovmot.physics import ACCEL_SIGMA_MPS2
+from ovmot.physics import ACCEL_SIGMA_MPS2, STEADY_S
 from ovmot.types import ScenePoints
 
-_MEMORY_S = 0.8
 _NEVER = -(1 << 62)  # ns: older than any frame
 
 
@@ -64,7 +63,7 @@ class FeatureHistory:
         self._stamps[now] = timestamp_ns
         found = feature_motions_compiled(
             points.p_cam0, points.cov_cam0, T_world_cam0, place, is_new,
-            np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64), now, _MEMORY_S,
+            np.asarray(1e-9 * (timestamp_ns - self._stamps), np.float64), now, STEADY_S,
             ACCEL_SIGMA_MPS2,
             self._p_world, self._covariance,
         )  # fmt: skip
@@ -74,7 +73,7 @@ class FeatureHistory:
         """Have a row to spare for a new frame, and a place for each of its features."""
         n_places, n_rows = self._p_world.shape[:2]
         more_places = 2 * max(n_features - n_places, 0)
-        spare = self._stamps < timestamp_ns - round(1e9 * _MEMORY_S)
+        spare = self._stamps < timestamp_ns - round(1e9 * STEADY_S)
         more_rows = 0 if spare.any() else n_rows + 1
         if more_places or more_rows:
             room = ((0, more_places), (0, more_rows), (0, 0))

@@ -14,7 +14,13 @@ from ovmot.objects.bodies_kernel import (
     without_parts_compiled,
 )
 from ovmot.objects.body_views_kernel import BodyViews, MovingViews, body_views_compiled
-from ovmot.objects.clustering import MAX_POINTS, MotionHistory, group_points, motion_history
+from ovmot.objects.clustering import (
+    MAX_POINTS,
+    ONE_BODY,
+    MotionHistory,
+    group_points,
+    motion_history,
+)
 from ovmot.objects.measurement_kernel import (
     BodyPoints,
     BodyTwists,
@@ -29,15 +35,12 @@ from ovmot.objects.static_motion import MAX_SIGMA_MPS, STATIC_TESTS, FoundMotion
 from ovmot.physics import (
     CAR_SIZE_M,
     LEAST_HEIGHT_M,
+    MAX_SLOPE,
     MAX_VEHICLE_SIZE_M,
-    TURN_SPREAD_MPS,
-    gate,
     gates,
 )
 from ovmot.settings import ObjectSettings, SegmentationSettings
 from ovmot.types import PointLabel, PoseWindow, ScenePoints
-
-_YAW_KNOWN = 0.5  # of the prior's standard deviation: below, the points have measured the yaw rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,25 +48,20 @@ class ObjectMeasurement:
     """One group of points that moves as one rigid body between an earlier frame and now.
 
     All in world, SI. `feature_id` (N,) of the inliers, `p_world` (N, 3) their refined positions
-    now. `position` (3,): centre of their box now; `velocity` (3,) of the body there. `yaw_rate`
-    about world z in rad/s, NaN where the points do not measure it, with its variance.
+    now. `position` (3,): centre of their box now; `velocity` (3,) of the body there.
     `T_now_before` (4, 4): motion in world over `span_s`, p_now = T p_before. `covariance` (6, 6) of
-    position and velocity by the prior pixel noise, with the ego poses' part at both times; it is
-    that of the seen points, not of where they lie on the body. `scaled_covariance` (6, 6): the same
-    with the points' part times the variance factor of the refinement. `size` (3,): length, width,
-    height of the box of the points, along the heading.
+    position and velocity by the pixel noise, with the ego poses' part at both times; it is that of
+    the seen points, not of where they lie on the body. `size` (3,): length, width, height of the
+    box of the points, along the heading.
     """
 
     feature_id: IntArray
     p_world: FloatArray
     position: FloatArray
     velocity: FloatArray
-    yaw_rate: float
     T_now_before: FloatArray
     span_s: float
     covariance: FloatArray
-    scaled_covariance: FloatArray
-    yaw_rate_variance: float
     size: FloatArray
 
 
@@ -106,13 +104,10 @@ def measure_objects(
     moves &= ~STATIC_TESTS[settings.static_test](motions, rig, settings, of_points)
     kept = without_parts_compiled(
         measured, refined.p_world, moves, Grouped(found.point, moving.track_id, found.group),
-        TURN_SPREAD_MPS, gate(3, 0.95),
+        ONE_BODY,
     )  # fmt: skip
     feature_id = moving.feature_id[found.point]
-    return tuple(
-        _measurement(k, feature_id, views, refined, measured, may_turn, settings)
-        for k in kept.tolist()
-    )
+    return tuple(_measurement(k, feature_id, views, refined, measured) for k in kept.tolist())
 
 
 def _can_be_bodies(
@@ -129,7 +124,7 @@ def _can_be_bodies(
     """
     user = RoadUser(
         settings.min_points, settings.min_speed_mps, MAX_SIGMA_MPS, MAX_VEHICLE_SIZE_M[2],
-        LEAST_HEIGHT_M, CAR_SIZE_M[0],
+        MAX_SLOPE, LEAST_HEIGHT_M, CAR_SIZE_M[0],
     )  # fmt: skip
     is_static = points.label == int(PointLabel.STATIC)
     return can_be_bodies_compiled(measured, p_world, points.p_cam0, is_static, T_world_cam0, user)
@@ -164,8 +159,7 @@ def _measured(
             refined.p_world, refined.by_twist, refined.point_cov, views.body, refined.inlier
         ),
         BodyTwists(
-            refined.twist, refined.covariance, refined.variance_factor, views.origin,
-            views.span_s[0], clone,
+            refined.twist, refined.covariance, views.origin, views.span_s[0], clone
         ),
         np.ascontiguousarray(window.T_world_imu), np.ascontiguousarray(window.covariance),
         settings.accel_sigma_mps2, settings.min_points,
@@ -178,24 +172,16 @@ def _measurement(
     views: BodyViews,
     refined: RefinedBodies,
     measured: MeasuredBodies,
-    may_turn: BoolArray,
-    settings: ObjectSettings,
 ) -> ObjectMeasurement:
     """Body k; `feature_id` (M,): of the points of all bodies."""
     own = measured.members[measured.first[k] : measured.first[k] + measured.n_members[k]]
-    prior = settings.yaw_rate_sigma_rps**2
-    variance = float(refined.covariance[k, 2, 2]) if may_turn[k] else prior
-    known = variance < _YAW_KNOWN**2 * prior
     return ObjectMeasurement(
         feature_id=feature_id[own],
         p_world=refined.p_world[own],
         position=measured.position[k],
         velocity=measured.velocity[k],
-        yaw_rate=float(refined.twist[k, 2]) if known else float("nan"),
         T_now_before=measured.T_now_before[k],
         span_s=float(views.span_s[0, k]),
         covariance=measured.covariance[k],
-        scaled_covariance=measured.scaled_covariance[k],
-        yaw_rate_variance=variance + float(measured.yaw_rate_variance[k]),
         size=measured.size[k],
     )

@@ -30,7 +30,6 @@ class BodyTwists(NamedTuple):
 
     twist: FloatArray
     cov: FloatArray
-    variance_factor: FloatArray
     origin: FloatArray
     span_s: FloatArray
     clone: IntArray
@@ -40,8 +39,7 @@ class MeasuredBodies(NamedTuple):
     """Measurements of B bodies, as `ObjectMeasurement` has them; not filled where points are few.
 
     `members` (K,): the inliers of all bodies, one after the other: `n_members` (B,) of each, from
-    the `first` (B,) on. `middle` (B, 3): medians of their points. `yaw_rate_variance` (B,): the ego
-    poses' part of it.
+    the `first` (B,) on. `middle` (B, 3): medians of their points.
     """
 
     members: IntArray
@@ -53,8 +51,6 @@ class MeasuredBodies(NamedTuple):
     velocity: FloatArray
     T_now_before: FloatArray
     covariance: FloatArray
-    scaled_covariance: FloatArray
-    yaw_rate_variance: FloatArray
 
 
 def measure_bodies(
@@ -74,9 +70,9 @@ def measure_bodies(
     out = MeasuredBodies(
         np.empty(len(points.body), np.int64), np.empty(n, np.int64), np.zeros(n, np.int64),
         np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)),
-        np.zeros((n, 4, 4)), np.zeros((n, 6, 6)), np.zeros((n, 6, 6)), np.zeros(n),
+        np.zeros((n, 4, 4)), np.zeros((n, 6, 6)),
     )  # fmt: skip
-    J, ego, values, start = np.zeros((6, 6)), np.zeros((7, 7)), np.empty(len(points.body)), 0
+    J, ego, values, start = np.zeros((6, 6)), np.zeros((6, 6)), np.empty(len(points.body)), 0
     for b in range(n):
         out.first[b] = start
         for k in range(len(points.body)):
@@ -94,11 +90,7 @@ def measure_bodies(
         slack = (0.5 * accel_mps2 * bodies.span_s[b]) ** 2
         for i in range(6):
             for j in range(6):
-                of_points = out.covariance[b, i, j]
-                added = ego[i, j] + (slack if i == j and i >= 3 else 0.0)
-                out.covariance[b, i, j] += added
-                out.scaled_covariance[b, i, j] = bodies.variance_factor[b] * of_points + added
-        out.yaw_rate_variance[b] = ego[6, 6]
+                out.covariance[b, i, j] += ego[i, j] + (slack if i == j and i >= 3 else 0.0)
     return out
 
 
@@ -178,12 +170,12 @@ def add_ego_part(
     T_world_imu: FloatArray, P: FloatArray, clone: int, span_s: float, b: int, ego: FloatArray,
     out: MeasuredBodies,
 ) -> None:  # fmt: skip
-    """`ego` (7, 7): the poses' part, now and at the clone, of position, velocity and yaw rate.
+    """`ego` (6, 6): the poses' part, now and at the clone, of position and velocity.
 
     Points are known in the cameras' frames: δp = -R [p_imu]x δθ + δt moves the body at each time,
     and v = (p_now - p_then) / span. Right perturbations of the poses.
     """
-    last, T, J, JP = len(T_world_imu) - 1, out.T_now_before[b], np.zeros((7, 12)), np.empty((7, 12))
+    last, T, J, JP = len(T_world_imu) - 1, out.T_now_before[b], np.zeros((6, 12)), np.empty((6, 12))
     now, then = out.position[b], np.zeros(3)
     for a in range(3):
         for k in range(3):
@@ -194,15 +186,15 @@ def add_ego_part(
     for i in range(3):
         for c in range(6):
             J[i, c] = J[3 + i, c] * span_s
-    for i in range(7):
+    for i in range(6):
         for c in range(12):
             column = 6 * last + c if c < 6 else 6 * (clone - 1) + c
             JP[i, c] = 0.0
             for k in range(6):
                 JP[i, c] += J[i, k] * P[6 * last + k, column]
                 JP[i, c] += J[i, 6 + k] * P[6 * clone + k, column]
-    for i in range(7):
-        for j in range(7):
+    for i in range(6):
+        for j in range(6):
             ego[i, j] = 0.0
             for c in range(12):
                 ego[i, j] += JP[i, c] * J[j, c]
@@ -210,10 +202,8 @@ def add_ego_part(
 
 @part
 def by_pose(T: FloatArray, p: FloatArray, rate: float, first: int, J: FloatArray) -> None:
-    """Columns of J (7, 12), from the `first` one on: velocity and yaw rate by the errors of a pose.
-
-    Those are `rate` times the point's and the heading's.
-    """
+    """Columns of J (6, 12), from the `first` one on: the velocity by the errors of a pose, which
+    are `rate` times the point's."""
     q = np.zeros(3)  # the point in the IMU's axes
     for a in range(3):
         for k in range(3):
@@ -223,7 +213,6 @@ def by_pose(T: FloatArray, p: FloatArray, rate: float, first: int, J: FloatArray
         J[3 + a, first + 1] = rate * (T[a, 0] * q[2] - T[a, 2] * q[0])
         J[3 + a, first + 2] = rate * (T[a, 1] * q[0] - T[a, 0] * q[1])
         J[3 + a, first + 3 + a] = rate
-        J[6, first + a] = rate * T[2, a]
 
 
 measure_bodies_compiled = compiled(measure_bodies, code_folder(Path(__file__)))

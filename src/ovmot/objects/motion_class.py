@@ -26,6 +26,7 @@ from ovmot.physics import (
     MAX_ROAD_MPS,
     ODD_SPEED_SHARE,
     SIZE_SPREAD,
+    SLOW_MPS,
     WALKER_MPS,
     WALKER_SIGMA_MPS,
     WALKER_SIZE_M,
@@ -34,8 +35,6 @@ from ovmot.types import ObjectTrack
 
 CLASSES = ("walker", "cyclist", "vehicle")
 """In the order of all arrays (3,) of classes."""
-SLOW_MPS = 0.5
-"""Half of the slowest walking (R. Bohannon, Age and Ageing 26, 1997: comfortable gait from 1.0)."""
 _CLASSES = Classes(
     size=np.array([WALKER_SIZE_M, CYCLIST_SIZE_M, CAR_SIZE_M]),
     size_spread=SIZE_SPREAD,

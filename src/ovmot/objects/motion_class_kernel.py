@@ -12,9 +12,6 @@ import numpy as np
 from ovmot.geometry.arrays import FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
-_FAR = -20.0  # below, the complementary error function is near what a float can hold
-_HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
-_LEAST_SIGMA = 1e-3
 _HEIGHT = 2  # among the sides of a box
 
 
@@ -32,27 +29,34 @@ class Classes(NamedTuple):
 
 @part
 def log_normal_cdf(x: float) -> float:
-    """Logarithm of the standard normal distribution at x; far out, the first terms of its
-    asymptotic series (M. Abramowitz & I. Stegun, 26.2.12)."""
-    if x < _FAR:
-        return -0.5 * x * x - math.log(-x) - _HALF_LOG_2PI + math.log1p(-1.0 / (x * x))
-    if x < 0.0:
-        return math.log(0.5 * math.erfc(-x / math.sqrt(2.0)))
-    return math.log1p(-0.5 * math.erfc(x / math.sqrt(2.0)))
+    """Logarithm of the standard normal distribution at x; where that is less than a float can hold,
+    the first terms of its asymptotic series (M. Abramowitz & I. Stegun, 26.2.12)."""
+    if x >= 0.0:
+        return math.log1p(-0.5 * math.erfc(x / math.sqrt(2.0)))
+    tail = 0.5 * math.erfc(-x / math.sqrt(2.0))
+    if tail > 0.0:
+        return math.log(tail)
+    return log_normal(x) - math.log(-x) + math.log1p(-1.0 / (x * x))
+
+
+@part
+def log_normal(x: float) -> float:
+    """Logarithm of the standard normal density at x."""
+    return -0.5 * (x * x + math.log(2.0 * math.pi))
 
 
 def speed_log_likelihood(speed: FloatArray, sigma: FloatArray, classes: Classes) -> FloatArray:
-    """Log density (T, C) of speeds (T,), m/s, measured with standard deviations (T,)."""
+    """Log density (T, C) of speeds (T,), m/s, measured with standard deviations (T,), not 0."""
     out = np.empty((len(speed), len(classes.size)))
     for t in range(len(speed)):
         for c in range(out.shape[1]):
             most = classes.greatest_mps[c]
-            out[t, c] = log_normal_cdf((most - speed[t]) / max(sigma[t], _LEAST_SIGMA))
+            out[t, c] = log_normal_cdf((most - speed[t]) / sigma[t])
             out[t, c] -= math.log(most)
             if c < len(classes.pace):
                 spread = math.hypot(classes.pace_spread[c], sigma[t])
                 z = (speed[t] - classes.pace[c]) / spread
-                usual = -0.5 * z * z - math.log(spread) - _HALF_LOG_2PI
+                usual = log_normal(z) - math.log(spread)
                 usual += math.log1p(-classes.odd_share)
                 odd = math.log(classes.odd_share) + out[t, c]
                 larger = max(usual, odd)

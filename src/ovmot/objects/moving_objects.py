@@ -19,11 +19,10 @@ from ovmot.objects.measurement import ObjectMeasurement, measure_objects
 from ovmot.objects.motion_class import SpeedHistory, classified
 from ovmot.objects.motion_evidence import Origin
 from ovmot.objects.tracker import ObjectTracker
+from ovmot.physics import STEADY_S
 from ovmot.segmentation.segmentation import Segmentation
 from ovmot.settings import Settings
 from ovmot.types import ObjectTrack, PointLabel, PoseWindow, ScenePoints
-
-_STEADY_S = 1.0  # over which a body's velocity is taken as steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +90,7 @@ class MovingObjects:
         tracker = self._tracker
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
         points = tracker.with_track_ids(segmentation.points)
-        recent = history.younger(_STEADY_S)
+        recent = history.younger(STEADY_S)
         measurements = measure_objects(
             recent, points, window, rig, self._settings, self._of_points, self._rng
         )

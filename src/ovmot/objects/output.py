@@ -14,7 +14,6 @@ from ovmot.objects.track_features_kernel import spans_of_compiled
 from ovmot.types import ObjectTrack
 
 _MISSED_S = 0.15  # missed for no longer than this, a confirmed track is still called confirmed
-_BOXED = 2  # features in the image that span a box
 _KNOWN_S, _KNOWN_SIGMA_M = 0.5, 0.5  # and for longer while its place in view is known to this
 
 
@@ -41,7 +40,7 @@ def to_object_tracks(
             yaw=track.yaw,
             yaw_rate=float(track.body.state.x[7]),
             size=track.size,
-            box_px=box if n >= _BOXED else projected_box(track, T_world_cam0, rig),
+            box_px=box if n > 1 else projected_box(track, T_world_cam0, rig),
             n_points=n,
             std_position=sigma[:3],
             std_velocity=sigma[3:],

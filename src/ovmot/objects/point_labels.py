@@ -14,14 +14,12 @@ from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.track import Track, TrackState
 from ovmot.objects.track_features import LIMITS, ids_of, moving_of
 from ovmot.objects.track_features_kernel import Hulls, labelled_compiled
-from ovmot.physics import WALKER_MPS, WALKER_SIGMA_MPS
+from ovmot.physics import WALKER_MPS, WALKER_SIGMA_MPS, sigmas
 from ovmot.types import PointLabel, ScenePoints
 
-_PACE_MPS = WALKER_MPS - 1.28 * WALKER_SIGMA_MPS  # one walker in ten is slower
-_LIKELIER = 0.43  # sigmas: a Gaussian has a third of its weight beyond
-_LATE_S = 0.1  # a velocity is that of the middle of the time it was measured over
+_PACE_MPS = WALKER_MPS - sigmas(0.9) * WALKER_SIGMA_MPS  # one walker in ten is slower
+_LIKELIER = sigmas(2 / 3)
 _NO_LABEL = -1
-_STEADY = 0.5  # m/s²: noise of the change of a velocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +48,7 @@ def label_points(
     moving one, if the track's motion fits it better. `before`: the speeds at the last frame.
     """
     names = (int(PointLabel.STATIC), int(PointLabel.DYNAMIC), int(PointLabel.UNKNOWN))
-    of_track = [_track_label(t, _speed_now(t, now_ns, before)) for t in tracks]
+    of_track = [_track_label(t, _next_speed(t, before)) for t in tracks]
     label = labelled_compiled(
         points.label, owner, np.array(of_track, np.int64), hulls, moving_of(motions),
         names, LIMITS,
@@ -66,16 +64,13 @@ def speeds_of(now_ns: int, tracks: Sequence[Track]) -> Speeds:
     return Speeds(now_ns, ids[order], speed[order])
 
 
-def _speed_now(track: Track, now_ns: int, before: Speeds) -> float:
-    """A track's speed, extrapolated by its change since the last frame: the filter is late."""
+def _next_speed(track: Track, before: Speeds) -> float:
+    """A track's speed in the next frame, for which labels are, by its change since the last one."""
     speed = float(np.linalg.norm(track.velocity))
     k = int(np.searchsorted(before.track_id, track.track_id))
-    dt_s = 1e-9 * (now_ns - before.timestamp_ns)
-    if k == len(before.track_id) or before.track_id[k] != track.track_id or dt_s <= 0.0:
+    if k == len(before.track_id) or before.track_id[k] != track.track_id:
         return speed
-    change = (speed - float(before.speed[k])) / dt_s
-    sure = max(change - _STEADY, 0.0) + min(change + _STEADY, 0.0)
-    return max(speed + _LATE_S * sure, 0.0)
+    return max(2.0 * speed - float(before.speed[k]), 0.0)
 
 
 def _track_label(track: Track, speed: float) -> int:

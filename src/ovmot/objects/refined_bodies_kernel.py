@@ -16,8 +16,6 @@ from ovmot.objects.body_views_kernel import BodyViews
 from ovmot.objects.refinement_kernel import Refined, WeightedViews, refine
 from ovmot.segmentation.history_kernel import inverse_motion
 
-_PRIOR_DOF = 20.0  # weight of the prior noise in the variance factor, degrees of freedom
-
 
 class StereoPixels(NamedTuple):
     """The stereo extrinsics (4, 4), `focal` lengths (4,) in pixels, and the noise of the pixels.
@@ -36,8 +34,7 @@ class RefinedBodies(NamedTuple):
     """`twist` (B, 6) as (ω, v), `covariance` (B, 6, 6), points `p_world` (M, 3), `inlier` (M,).
 
     `point_cov` (M, 3, 3): of the points for given twists; `by_twist` (M, 3, 6): their derivative by
-    it. `variance_factor` (B,), at most 1: the variance of the pixel noise by the residuals, as a
-    share of the prior one.
+    it.
     """
 
     twist: FloatArray
@@ -46,7 +43,6 @@ class RefinedBodies(NamedTuple):
     inlier: BoolArray
     point_cov: FloatArray
     by_twist: FloatArray
-    variance_factor: FloatArray
 
 
 def refine_bodies(
@@ -82,17 +78,14 @@ def refine_bodies(
         dof[m], huber[m], bound[m] = own, math.sqrt(huber_gates[own]), cost_gates[own]
     found = refine(point, views.twist, weighted, huber, bound, prior)
     p_world, point_cov, by_twist = world_points(found, views)
-    variance_factor = np.empty(n_bodies)
     for b in range(n_bodies):
-        widen, variance_factor[b] = variance_factors(found, views, dof, b)
+        widen = variance_factor(found, views, dof, b)
         covariance = found.information[b]
         invert_definite(covariance)
         for i in range(6):
             for j in range(6):
                 covariance[i, j] *= widen
-    return RefinedBodies(
-        found.twist, found.information, p_world, found.inlier, point_cov, by_twist, variance_factor
-    )
+    return RefinedBodies(found.twist, found.information, p_world, found.inlier, point_cov, by_twist)
 
 
 @part
@@ -143,22 +136,17 @@ def about_origin(
 
 
 @part
-def variance_factors(
-    found: Refined, views: BodyViews, dof: FloatArray, b: int
-) -> tuple[float, float]:
-    """Variance of body b's noise by the residuals as a share of the prior one: at least 1, and at
-    most 1, which holds the prior noise as well.
+def variance_factor(found: Refined, views: BodyViews, dof: FloatArray, b: int) -> float:
+    """Variance of body b's noise by the residuals as a share of the prior one, at least 1.
 
-    `dof` (M,): degrees of freedom of each point. Noise above the prior one widens the covariance;
-    noise below it is only reported.
+    `dof` (M,): degrees of freedom of each point. Noise above the prior one widens the covariance.
     """
     cost, own = 0.0, 0.0
     for m in range(len(dof)):
         if views.body[m] == b and found.inlier[m]:
             cost += found.weight[m] * found.cost[m]
             own += dof[m]
-    widen = max(1.0, cost / max(own, 1.0))
-    return widen, min(1.0, (cost + _PRIOR_DOF) / (own + _PRIOR_DOF))
+    return max(1.0, cost / max(own, 1.0))
 
 
 @part

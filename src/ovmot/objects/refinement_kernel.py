@@ -12,10 +12,9 @@ from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 from ovmot.kernels.cache import inlined_part, part
 from ovmot.kernels.small_matrices import cross, invert_symmetric, solve_positive
 
-_ITERATIONS = 6
+_ITERATIONS = 6  # of Gauss-Newton, at most
 _WIDE_ITERATIONS = 2  # the first ones, with a wider bound for outliers
 _SMALL_STEP = 0.02  # squared sigmas: a step that ends the iterations
-_MIN_INVERSE_DEPTH = 1e-3
 
 
 class WeightedViews(NamedTuple):
@@ -122,7 +121,7 @@ def step_points(
 ) -> None:
     """Move the points of body b after a step (6,) of its twist.
 
-    No point goes behind the camera, nor more than doubles its inverse depth.
+    No point goes behind the camera: an inverse depth is at most halved or doubled.
     """
     for n in range(len(point)):
         if body[n] != b:
@@ -134,7 +133,6 @@ def step_points(
             if c == 2:
                 step = min(max(step, -0.5 * point[n, 2]), point[n, 2])
             point[n, c] += step
-        point[n, 2] = max(point[n, 2], _MIN_INVERSE_DEPTH)
 
 
 @part

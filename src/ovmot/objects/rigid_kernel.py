@@ -1,8 +1,8 @@
 """The compiled search for the rigid motions of clustered points: sequential RANSAC.
 
 Triples propose motions, scored by truncated Mahalanobis distances of the reprojection (P. Torr, A.
-Zisserman, MLESAC, 2000); drawing stops when a triple without outlier is likely to have been drawn
-(M. Fischler, R. Bolles, 1981). tests/objects/test_rigid_kernel.py holds the plain NumPy twin.
+Zisserman, MLESAC, 2000); so many are drawn that one without outlier is likely to be among them (M.
+Fischler, R. Bolles, 1981). tests/objects/test_rigid_kernel.py holds the plain NumPy twin.
 """
 
 import math
@@ -19,11 +19,8 @@ HEIGHT_SIGMAS = 4.0
 """A triangle flatter than this many sigmas of its corners has no rotation."""
 SHARE_OF_POINTS = 0.7
 """Of the row with most points, that a row must hold to be used."""
-BATCH = 24
-"""Triples drawn at once."""
-MAX_BATCHES = 4
-MISS = 0.01
-"""Accepted probability that every triple had an outlier."""
+TRIPLES = math.ceil(math.log(0.01) / math.log(1.0 - 0.5**3))
+"""With a probability of 1 % all of them have an outlier, where a body has half of the points."""
 
 
 class SeenPoints(NamedTuple):
@@ -228,28 +225,24 @@ def ransac(
     n, best_cost, n_inliers = len(s.p), np.inf, 0
     T, both = np.eye(4), np.empty((3, 4))
     copy_motion(T, best)
-    for batch in range(1, MAX_BATCHES + 1):
-        for _ in range(BATCH):
-            i, j, k = draw_triple(n, rng)
-            for turn in range(2):
-                if not propose(s, i, j, k, turn, least_cosine, T):
+    for _ in range(TRIPLES):
+        i, j, k = draw_triple(n, rng)
+        for turn in range(2):
+            if not propose(s, i, j, k, turn, least_cosine, T):
+                break
+            into_right(T_cam1_cam0, T, both)
+            total = turn_penalty * turn
+            for m in range(n):
+                if total >= best_cost:
                     break
-                into_right(T_cam1_cam0, T, both)
-                total = turn_penalty * turn
-                for m in range(n):
-                    if total >= best_cost:
-                        break
-                    total += min(squared_distance(T, both, s.p, s.seen, s.weight, m), gate)
-                if total < best_cost:
-                    best_cost = total
-                    copy_motion(T, best)
-        into_right(T_cam1_cam0, best, both)
-        n_inliers = 0
-        for m in range(n):
-            inlier[m] = squared_distance(best, both, s.p, s.seen, s.weight, m) < gate
-            n_inliers += inlier[m]
-        if (1.0 - (n_inliers / n) ** 3) ** (BATCH * batch) < MISS:
-            break
+                total += min(squared_distance(T, both, s.p, s.seen, s.weight, m), gate)
+            if total < best_cost:
+                best_cost = total
+                copy_motion(T, best)
+    into_right(T_cam1_cam0, best, both)
+    for m in range(n):
+        inlier[m] = squared_distance(best, both, s.p, s.seen, s.weight, m) < gate
+        n_inliers += inlier[m]
     return n_inliers
 
 

@@ -11,7 +11,7 @@ from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.geometry.triangulation import project_stereo
 from ovmot.objects.bodies_kernel import distance_from_rest_compiled
 from ovmot.objects.measurement_kernel import MeasuredBodies
-from ovmot.physics import gates
+from ovmot.physics import WALKER_MPS, gates
 from ovmot.settings import ObjectSettings, SegmentationSettings
 
 
@@ -26,8 +26,8 @@ class FoundMotions:
 
 StaticTest = Callable[[FoundMotions, StereoRig, ObjectSettings, SegmentationSettings], BoolArray]
 
-MAX_SIGMA_MPS = 1.5
-"""A direction in which a velocity is known no better than this, a walking pace, does not count."""
+MAX_SIGMA_MPS = WALKER_MPS
+"""A direction in which a velocity is known no better than this does not count."""
 
 
 def static_by_covariance(
