@@ -244,7 +244,11 @@ def _at_poses_of(run: EgoRun, truth: EgoTruth) -> EgoTruth:
     kept = np.isfinite(T[:, 0, 0])
     if kept.sum() <= len(of_truth):
         return truth
-    return EgoTruth(truth.path, inside[kept], T[kept])
+    sigma_m = truth.position_sigma_m
+    if sigma_m is not None:
+        since_ns = truth.timestamp_ns - truth.timestamp_ns[0]
+        sigma_m = np.interp(inside[kept] - truth.timestamp_ns[0], since_ns, sigma_m)
+    return EgoTruth(truth.path, inside[kept], T[kept], position_sigma_m=sigma_m)
 
 
 def _objects_of(data: Path, sequence: str | None, ego: EgoTruth) -> ObjectTruth | None:

@@ -45,6 +45,7 @@ def test_oxts_is_what_the_data_sets_own_kit_makes_of_it(data_root: Path) -> None
 def test_oxts_of_one_drive_of_several(kitti_raw: Path) -> None:
     for path in (kitti_raw / SYNC / "oxts" / "data").iterdir():
         values = [49.0, 8.0 + 1e-5 * int(path.stem), 100.0, 0.0, 0.0, 0.5, 1.0, 2.0, *[0.0] * 22]
+        values[23] = 0.3 + 0.01 * int(path.stem)
         path.write_text(" ".join(map(str, values)))
     with pytest.raises(InputError, match="2 drives; choose one"):
         find_ego_truth(kitti_raw)
@@ -54,6 +55,8 @@ def test_oxts_of_one_drive_of_several(kitti_raw: Path) -> None:
     np.testing.assert_allclose(so3.log(found.T_world_imu[0, :3, :3]), [0.0, 0.0, 0.5], atol=1e-12)
     assert found.velocity is not None
     np.testing.assert_array_equal(found.velocity[0], [2.0, 1.0, 0.0])
+    assert found.position_sigma_m is not None
+    np.testing.assert_allclose(found.position_sigma_m, [0.3, 0.31, 0.32, 0.33])
 
 
 def test_kaist_poses_are_those_of_the_vehicle(small_simulation: Simulation, tmp_path: Path) -> None:

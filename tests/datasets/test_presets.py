@@ -75,7 +75,9 @@ def test_what_is_given_overrules(kitti_raw: Path) -> None:
     assert (settings.imu.gyro_noise, settings.imu.accel_noise) == (0.01, 8.7e-2)
     assert not settings.objects.enabled
     assert sequence.preset is not None
-    assert sequence.preset.in_force(settings) == {"imu.accel_noise": 8.7e-2, "imu.max_gap_s": 0.25}
+    assert sequence.preset.in_force(settings) == {
+        "imu.accel_noise": 8.7e-2, "imu.max_gap_s": 0.25, "calibration.rotation_sigma_rad": 1e-3,
+    }  # fmt: skip
     default_given = ovmot.load_settings(None, ["imu.max_gap_s=0.1"])
     assert sequence.settings(default_given).imu.max_gap_s == 0.1
 

@@ -88,6 +88,17 @@ def test_a_single_file(tmp_path: Path, name: str, text: str) -> None:
     np.testing.assert_array_equal(truth.T_world_imu[1, :3, 3], [4, 5, 6])
 
 
+def test_what_is_known_of_the_accuracy(tmp_path: Path) -> None:
+    """EuRoC's is a millimetre, of a simulation in EuRoC's layout zero, of any other file none."""
+    write(tmp_path / "real" / ASL, EUROC_ROW.format(100))
+    np.testing.assert_array_equal(read_ego_truth(tmp_path / "real").position_sigma_m, [1e-3])
+    write(tmp_path / "made" / ASL, EUROC_ROW.format(100))
+    write(tmp_path / "made" / "truth" / "objects.json", "[]")
+    np.testing.assert_array_equal(read_ego_truth(tmp_path / "made").position_sigma_m, [0.0])
+    other = write(tmp_path / "a.tum", TUM)
+    assert read_ego_truth(other).position_sigma_m is None
+
+
 def test_velocity_and_biases_of_euroc(tmp_path: Path) -> None:
     rows = EUROC_ROW.format(100) + EUROC_ROW.format(100).replace("0.1", "9") + EUROC_ROW.format(300)
     write(tmp_path / ASL, rows)

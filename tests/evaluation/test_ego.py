@@ -141,6 +141,36 @@ def test_nees_of_a_consistent_run_keeps_its_bounds(winding_path: Winding, gauge:
     assert bold.mean > 45.0
 
 
+def test_nees_with_a_truth_that_has_errors_of_its_own(winding_path: Winding) -> None:
+    """A consistent run against positions with known noise: only with the noise is it honest."""
+    rng, sigma_m = np.random.default_rng(12), 0.3
+    exact = truth_of(winding_path(10_001))
+    run = consistent_run(exact, rng)
+    T = exact.T_world_imu.copy()
+    T[1:, :3, 3] += rng.normal(0.0, sigma_m, (len(T) - 1, 3))
+    sigmas = np.full(len(T), sigma_m)
+    sigmas[0] = 0.0  # the gauge
+    noisy = evaluate_ego(run, replace(exact, T_world_imu=T, position_sigma_m=sigmas)).nees
+    alone, with_truth = noisy["position"], noisy["position_with_truth"]
+    assert alone is not None and with_truth is not None
+    assert alone.mean > 6.0
+    assert with_truth.mean == pytest.approx(3.0, abs=3.0 * math.sqrt(6.0 / 2000.0))
+    stated = replace(exact, position_sigma_m=np.zeros(len(T)))
+    both = evaluate_ego(run, stated).nees
+    assert both["position_with_truth"] == both["position"]
+    assert evaluate_ego(run, exact).nees["position_with_truth"] is None
+
+
+def test_a_gauge_with_errors_counts_at_every_pose(winding_path: Winding) -> None:
+    truth = truth_of(winding_path(2001))
+    run = consistent_run(truth, np.random.default_rng(13))
+    sigmas = np.zeros(len(truth.timestamp_ns))
+    sigmas[0] = 100.0
+    found = evaluate_ego(run, replace(truth, position_sigma_m=sigmas)).nees["position_with_truth"]
+    assert found is not None
+    assert found.mean < 0.1
+
+
 def test_covariances_that_are_singular_or_unknown_are_counted(winding_path: Winding) -> None:
     truth = truth_of(winding_path(101))
     run = consistent_run(truth, np.random.default_rng(1))

@@ -12,13 +12,14 @@ from ovmot.errors import InitializationError
 from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
 from ovmot.geometry.splines import PoseSpline
+from ovmot.initialization import dynamic
 from ovmot.initialization.dynamic import (
     DynamicSolution,
     InitializationPrior,
     align_with_imu,
     dynamic_initialization,
 )
-from ovmot.initialization.stereo_path import stereo_path
+from ovmot.initialization.stereo_path import StereoPath, stereo_path
 from ovmot.sim.imu import noisy_imu, perfect_imu
 from ovmot.types import FrontendFrame, ImuData, ImuNoise
 from ovmot.vio.state import GYRO_BIAS, THETA, VELOCITY, ImuState
@@ -152,3 +153,43 @@ def test_the_nearest_and_largest_body_is_not_the_world(
     error = start_error(truth, found.first)
     assert np.linalg.norm(error[VELOCITY]) < 0.1
     assert np.linalg.norm(error[THETA]) < 0.03
+
+
+@pytest.mark.parametrize("plainly", [True, False])
+def test_a_small_body_that_agrees_is_not_the_world_where_a_larger_one_may_be(
+    plainly: bool, rig: StereoRig, curvy_path: PoseSpline, landmarks: FloatArray,
+    observe: Callable[..., FrontendFrame], noise: ImuNoise, start_ns: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """A truck ahead keeps its speed; the world's motion differs from the IMU's by some sigmas."""
+    rng = np.random.default_rng(6)
+    body = rng.uniform([9.0, -2.0, -1.0], [12.0, 1.5, 2.0], (N_TRUCK, 3))
+    stamps = [start_ns + FRAME_NS * k for k in range(N_WINDOW_FRAMES)]
+    frames = []
+    for t in stamps:
+        points = np.concatenate([body + TRUCKS["steady"](1e-9 * (t - start_ns)), landmarks[:150]])
+        frames.append(observe(rig, curvy_path.pose(t), points, t, 0.3, rng))
+    clean = perfect_imu(curvy_path, start_ns - 10_000_000 + 5_000_000 * np.arange(245))
+    zero = np.zeros(3)
+    data = noisy_imu(clean, noise, rng, gyro_bias=zero, accel_bias=zero).data
+    imu = intervals_of(data, stamps)
+    refined = dynamic._refine_with_known_gravity
+    misfit = 1.5 * (dynamic._PLAIN_RMS if plainly else dynamic._MAX_RMS)
+
+    def aligned(path: StereoPath, *given: object) -> DynamicSolution:
+        of_world = (path.feature_id >= N_TRUCK).mean() > 0.5
+
+        def refine(*args: FloatArray) -> object:
+            fit = refined(*args)  # type: ignore[arg-type]
+            return replace(fit, rms=misfit) if of_world else fit
+
+        monkeypatch.setattr(dynamic, "_refine_with_known_gravity", refine)
+        return align_with_imu(path, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(dynamic, "align_with_imu", aligned)
+    if plainly:
+        found = dynamic_initialization(frames, imu, rig, noise, PRIOR)
+        assert (found.feature_id < N_TRUCK).mean() > 0.5
+    else:
+        with pytest.raises(InitializationError, match="a smaller body agrees"):
+            dynamic_initialization(frames, imu, rig, noise, PRIOR)

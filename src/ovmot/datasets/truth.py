@@ -32,6 +32,10 @@ from ovmot.geometry.arrays import AnyArray, BoolArray, FloatArray, Image, IntArr
 from ovmot.text_files import read_text
 
 _EUROC = "state_groundtruth_estimate0"
+_EUROC_SIGMA_M = 1e-3
+"""Of EuRoC's true positions: those of its laser tracker and its motion capture are good to a
+millimetre (M. Burri et al., "The EuRoC micro aerial vehicle datasets", IJRR 2016)."""
+_SIMULATED = "truth"
 TRUTH_FILES = (
     f"mav0/{_EUROC}/data.csv",
     f"mav0/{_EUROC}/trajectory.tum",
@@ -54,7 +58,8 @@ class EgoTruth:
     """True poses `T_world_imu` (N, 4, 4) at rising stamps (N,), in a world with z up.
 
     `velocity` (N, 3) in m/s in the world, `gyro_bias` (N, 3) in rad/s and `accel_bias` (N, 3) in
-    m/s², where the file has them. `path` is that file.
+    m/s², where the file has them. `path` is that file. `position_sigma_m` (N,): standard deviation
+    of each coordinate of the position, as the data set states it; None where it states none.
     """
 
     path: Path
@@ -63,6 +68,7 @@ class EgoTruth:
     velocity: FloatArray | None = None
     gyro_bias: FloatArray | None = None
     accel_bias: FloatArray | None = None
+    position_sigma_m: FloatArray | None = None
 
 
 def read_ego_truth(data: Path) -> EgoTruth:
@@ -73,18 +79,29 @@ def read_ego_truth(data: Path) -> EgoTruth:
     path = data if data.is_file() else _find(data)
     if path.suffix != ".csv":
         trajectory = read_tum(path)
-        return EgoTruth(path, trajectory.timestamp_ns, trajectory.T_world_imu)
+        stamps, T = trajectory.timestamp_ns, trajectory.T_world_imu
+        return EgoTruth(path, stamps, T, position_sigma_m=_stated_sigma(path, len(stamps)))
     n_columns = column_count(path, ",")
     if n_columns == 0:
         raise InputError.at(path, "holds no data", "give a file with true poses")
     trajectory = read_euroc_ground_truth(path)
     stamps, T = trajectory.timestamp_ns, trajectory.T_world_imu
+    sigma = _stated_sigma(path, len(stamps))
     if n_columns != 17:
-        return EgoTruth(path, stamps, T)
+        return EgoTruth(path, stamps, T, position_sigma_m=sigma)
     table = read_stamped_csv(path, 17)
     _, fresh = np.unique(table.timestamp_ns, return_index=True)  # equal stamps keep the first
     rest = table.values[fresh, 7:]
-    return EgoTruth(path, stamps, T, rest[:, :3], rest[:, 3:6], rest[:, 6:])
+    return EgoTruth(path, stamps, T, rest[:, :3], rest[:, 3:6], rest[:, 6:], sigma)
+
+
+def _stated_sigma(path: Path, n: int) -> FloatArray | None:
+    """Sigmas (n,) of the positions of a file: EuRoC's, or zero where ovmot has simulated it."""
+    place = path.resolve().parent
+    data = place.parent.parent if place.parent.name == "mav0" else place.parent
+    if place.name == _SIMULATED or (place.name == _EUROC and (data / _SIMULATED).is_dir()):
+        return np.zeros(n)
+    return np.full(n, _EUROC_SIGMA_M) if place.name == _EUROC else None
 
 
 def truth_file(data: Path) -> Path | None:

@@ -28,7 +28,7 @@ from ovmot.outputs.run_reader import EgoRun
 ATE_ALIGNMENTS = ("yaw", "se3", "sim3", "none")
 RPE_SECONDS = (1.0,)
 RPE_METRES = (10.0, 50.0, 100.0, 500.0)
-NEES_DOF = {"orientation": 3, "position": 3, "pose": 6}
+NEES_DOF = {"orientation": 3, "position": 3, "pose": 6, "position_with_truth": 3}
 
 _GAUGE_S = 2.0
 _SHORT_M = 2.0  # below it, errors in percent of the path say nothing
@@ -63,7 +63,8 @@ class EgoSeries:
 
     `errors` and `three_sigma` (N, 6): rotation (right perturbation, rad), then position (m, in
     the truth's world), after the alignment `first` at the pose of the first 2 s whose position the
-    run is surest of; `nees` by name (N,). NaN where the run states no covariance.
+    run is surest of; `nees` by name (N,), `position_with_truth` that of the position where the
+    truth's own errors are taken into account. NaN where run or truth state no covariance.
     `position_true` and `position_aligned` (N, 3): the path, and the estimate laid onto it by the
     alignment `yaw`.
     """
@@ -225,16 +226,32 @@ def _series(run: EgoRun, truth: EgoTruth, of_run: IntArray, of_truth: IntArray) 
     errors = pose_errors(T_true, gauge.poses(T_run))
     covariance = turn_world(covariance, gauge.R)
     variance = np.diagonal(covariance, axis1=1, axis2=2)
+    of_both = covariance[:, 3:, 3:] + _of_truth(truth, of_truth, surest)[:, None, None] * np.eye(3)
     parts = {"orientation": slice(0, 3), "position": slice(3, 6), "pose": slice(0, 6)}
     yaw = ALIGNMENTS["yaw"](T_true, T_run)
     return EgoSeries(
         timestamp_ns=stamps,
         errors=errors,
         three_sigma=3.0 * np.sqrt(np.where(variance >= 0.0, variance, np.nan)),
-        nees={name: nees(errors[:, k], covariance[:, k, k]) for name, k in parts.items()},
+        nees={
+            **{name: nees(errors[:, k], covariance[:, k, k]) for name, k in parts.items()},
+            "position_with_truth": nees(errors[:, 3:], of_both),
+        },
         position_true=T_true[:, :3, 3],
         position_aligned=yaw.positions(T_run[:, :3, 3]),
     )
+
+
+def _of_truth(truth: EgoTruth, of_truth: IntArray, gauge: int) -> FloatArray:
+    """Variance (N,), m², that the truth's errors give to a coordinate of the position's error.
+
+    The error is that of the true position there and of the one that the run is aligned at, taken
+    as independent: where they are alike, it is less. NaN where the truth states none.
+    """
+    if truth.position_sigma_m is None:
+        return np.full(len(of_truth), np.nan)
+    variance = truth.position_sigma_m[of_truth] ** 2
+    return np.asarray(variance + variance[gauge])
 
 
 def _surest_pose(stamps: IntArray, covariance: FloatArray) -> int:

@@ -25,6 +25,7 @@ NOTES: dict[str, str] = {
     "ate_sim3_deg": "as ate_se3_deg",
     "nees_orientation": "3 if errors and covariance agree",
     "nees_position": "3 if errors and covariance agree",
+    "nees_position_with_truth": "the same, with the truth's own accuracy",
     "object_velocity_nees": "3 if errors and sigmas agree",
     "object_position_nees": "3 if errors and sigmas agree",
     "object_size_nees": "3 if errors and sigmas agree",

@@ -26,6 +26,13 @@ from ovmot.vio.state import ACCEL_BIAS, GYRO_BIAS, N_IMU, POSITION, THETA, ImuSt
 
 _MAX_RMS = 2.0
 """Root mean square of whitened residuals beyond which a solution is refused."""
+_PLAIN_RMS = 8.0
+"""And beyond which a body is plainly not the world. A common error of the lens adds to what the
+features average out: 0.25 px to 0.4 px over the root of 50, which makes 8 sigma of 2."""
+
+
+class _UnsureMotionError(InitializationError):
+    """A motion that the IMU does not confirm, and does not plainly refute."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +68,11 @@ def dynamic_initialization(
     The world is not the body with most points: up to `max_bodies`, each of points that move alike,
     are tried, the one with most points first, and of those whose motion agrees with the IMU the one
     that occupies most space is the world. `path`: that of the first body, where it is known. Raises
-    `InitializationError` where the images give no motion, or none that agrees.
+    `InitializationError` where the images give no motion, or none that agrees, or where a body that
+    occupies more space than this one may be the world too.
     """
     best: tuple[int, DynamicSolution] | None = None
+    unsure = 0, ""
     reasons: list[str] = []
     left = np.unique(np.concatenate([frame.feature_id for frame in frames]))
     other_bodies = np.empty(0, dtype=np.int64)
@@ -80,6 +89,8 @@ def dynamic_initialization(
             solution = align_with_imu(path, imu, noise, prior)
         except InitializationError as error:
             reasons.append(str(error))
+            if isinstance(error, _UnsureMotionError):
+                unsure = max(unsure, (_cells_of(path.feature_id, frames, rig), str(error)))
         else:
             cells = _cells_of(path.feature_id, frames, rig)
             if best is None or cells > best[0]:
@@ -88,6 +99,8 @@ def dynamic_initialization(
         left, path = np.setdiff1d(left, path.feature_id), None
     if best is None:
         raise InitializationError("; another body: ".join(reasons))
+    if unsure[0] > best[0]:
+        raise InitializationError(f"{unsure[1]}; a smaller body agrees")
     return best[1]
 
 
@@ -113,9 +126,8 @@ def align_with_imu(
         )
     fit = _refine_with_known_gravity(p - alpha, by_bias, t, sigma, gravity, prior)
     if fit.rms > _MAX_RMS:
-        raise InitializationError(
-            f"IMU and stereo motion differ by {fit.rms:.1f} sigma (at most {_MAX_RMS:g})"
-        )
+        kind = InitializationError if fit.rms > _PLAIN_RMS else _UnsureMotionError
+        raise kind(f"IMU and stereo motion differ by {fit.rms:.1f} sigma (at most {_MAX_RMS:g})")
     R = gravity_aligned_rotation(-fit.gravity)
     zero = np.zeros(3)
     first = ImuState(R, zero, R @ fit.velocity, gyro_bias, fit.accel_bias)

@@ -21,7 +21,7 @@ from ovmot.text_files import read_text
 N_FIELDS = 30
 ACCEL, GYRO = 11, 17
 """Where `ax ay az` and `wx wy wz` begin."""
-_ATTITUDE, _NORTH, _EAST, _UP = 3, 6, 7, 10
+_ATTITUDE, _NORTH, _EAST, _UP, _POSITION_ACCURACY = 3, 6, 7, 10, 23
 _NO_STAMP = -1
 _EARTH_RADIUS_M = 6378137.0  # WGS 84, semi-major axis
 
@@ -111,7 +111,8 @@ def true_poses(path: Path, timestamp_ns: IntArray, packets: FloatArray) -> EgoTr
 
     The world has x east, y north, z up, and its origin at the first packet. Positions are Mercator
     projections at the first latitude, rotations Rz(yaw) Ry(pitch) Rx(roll), as the data set's own
-    development kit takes them (A. Geiger et al., IJRR 2013).
+    development kit takes them (A. Geiger et al., IJRR 2013). The accuracy of the positions is what
+    each packet states for the horizontal (`pos_accuracy`); for the height it states none.
     """
     latitude, longitude, altitude = packets[:, 0], packets[:, 1], packets[:, 2]
     scale_m = np.cos(np.radians(latitude[0])) * _EARTH_RADIUS_M
@@ -128,4 +129,5 @@ def true_poses(path: Path, timestamp_ns: IntArray, packets: FloatArray) -> EgoTr
     R = so3.exp(yaw[:, None] * axes[2]) @ so3.exp(pitch[:, None] * axes[1])
     R = R @ so3.exp(roll[:, None] * axes[0])
     velocity = packets[:, [_EAST, _NORTH, _UP]]
-    return EgoTruth(path, timestamp_ns, se3.make(R, position - position[0]), velocity)
+    T, sigma_m = se3.make(R, position - position[0]), packets[:, _POSITION_ACCURACY]
+    return EgoTruth(path, timestamp_ns, T, velocity, position_sigma_m=sigma_m)
