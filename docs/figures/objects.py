@@ -1,8 +1,10 @@
-"""Figures of docs/moving-objects.md: what is found, how late, and how fast it is taken to be.
+"""Figures of docs/moving-objects.md and docs/algorithm/objects.md.
+
+What is found, how late, how fast it is taken to be, and what becomes of a track that is hidden.
 
 python docs/figures/objects.py
 
-Three streets of each of the scenes traffic, jam and crossing.
+Three streets of each of the scenes traffic, jam and crossing, and one of the scene bus.
 """
 
 from collections.abc import Sequence
@@ -15,25 +17,29 @@ import ovmot
 from common import BLUE, COLOURS, GREY, IMAGES, ORANGE, figure, save, street
 from ovmot.evaluation.matching import ComparedFrame, ObjectCriteria
 from ovmot.evaluation.object_errors import detection_latency
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
 
 SCENES, SEEDS = ("traffic", "jam", "crossing"), (41, 42, 43)
 BINS = np.arange(0.0, 61.0, 10.0)
 """Edges of the distances, m."""
+NEAR_M = 2.5
+"""Within this a track is on an object, as for `ovmot evaluate`."""
 
 
 def main(
     folder: Path = IMAGES, scenes: Sequence[str] = SCENES, seeds: Sequence[int] = SEEDS,
     **simulated: Any,
 ) -> list[Path]:  # fmt: skip
-    """Draw both figures; `simulated` are further arguments of `ovmot.simulate`."""
+    """Draw the figures; `simulated` are further arguments of `ovmot.simulate`."""
     wide = ObjectCriteria(max_range_m=float(BINS[-1]))
     runs: dict[str, list[tuple[ComparedFrame, ...]]] = {}
     for scene in scenes:
         for seed in seeds:
             data, run = street(scene, **({"seed": seed, "size": (640, 280)} | simulated))
             runs.setdefault(scene, []).append(ovmot.evaluate(run, data, wide).frames)
-    return [_by_distance(runs, folder), _latency(runs, folder)]
+    data, run = street("bus", **({"seed": 21, "size": (640, 280)} | simulated))
+    hidden = _hidden(ovmot.evaluate(run, data, wide).frames, folder)
+    return [_by_distance(runs, folder), _latency(runs, folder), hidden]
 
 
 def distances(frame: ComparedFrame) -> FloatArray:
@@ -91,6 +97,64 @@ def _latency(runs: dict[str, list[tuple[ComparedFrame, ...]]], folder: Path) -> 
     )  # fmt: skip
     axes.axvline(0.5, color=ORANGE, lw=0.8, ls=":")
     return save(made, "objects_latency", folder)
+
+
+def _hidden(frames: Sequence[ComparedFrame], folder: Path) -> Path:
+    """Where an object is across the view that was found and then hidden, and its tracks."""
+    made, axes = figure(7.0, 2.8)
+    seconds = 1e-9 * np.array([f.objects.timestamp_ns for f in frames])
+    seconds -= seconds[0]
+    ids = np.unique(np.concatenate([f.objects.object_id for f in frames])).tolist()
+    chosen = max(ids, key=lambda k: _longest_gap(frames, k))
+    at = [np.flatnonzero(f.objects.object_id == chosen) for f in frames]
+    y = np.array([_across(f, k) for f, k in zip(frames, at, strict=True)])
+    seen = _is_seen(frames, chosen)
+    axes.plot(seconds, np.where(seen, y, np.nan), "-", color=GREY, label="truth")
+    axes.plot(seconds, np.where(seen, np.nan, y), ":", color=GREY, label="truth, hidden")
+    tracks: dict[int, list[tuple[float, float, float]]] = {}
+    for second, frame, k in zip(seconds, frames, at, strict=True):
+        for row in np.flatnonzero((frame.distance[k] < NEAR_M).any(axis=0)):
+            here = _in_rig(frame.T_run, frame.tracks.position[row])[1]
+            of_track = tracks.setdefault(int(frame.tracks.track_id[row]), [])
+            of_track.append((second, here, frame.tracks.std[row, 1]))
+    for colour, (track_id, values) in zip(COLOURS, sorted(tracks.items()), strict=False):
+        t, here, sigma = np.array(values).T
+        axes.errorbar(
+            t, here, sigma, fmt=".", ms=4, lw=0.8, color=colour, label=f"track {track_id}"
+        )
+    if tracks:
+        t, here, _ = np.array([row for rows in tracks.values() for row in rows]).T
+        axes.set(xlim=(t.min() - 1.0, t.max() + 1.0), ylim=(here.min() - 5.0, here.max() + 5.0))
+    axes.set(xlabel="time (s)", ylabel="to the left of the rig (m)")
+    axes.legend(fontsize=8)
+    return save(made, "objects_hidden", folder)
+
+
+def _is_seen(frames: Sequence[ComparedFrame], object_id: int) -> BoolArray:
+    """In which frames (N,) an object has visible pixels."""
+    return np.array([
+        bool((f.objects.visible_px[f.objects.object_id == object_id] > 0).any()) for f in frames
+    ])  # fmt: skip
+
+
+def _longest_gap(frames: Sequence[ComparedFrame], object_id: int) -> int:
+    """Most frames in a row in which an object was not seen, after it was found and before it was
+    seen again."""
+    found = [object_id in f.objects.object_id[f.pairs[:, 0]] for f in frames]
+    rows = np.flatnonzero(_is_seen(frames, object_id))
+    if not any(found):
+        return 0
+    return int(np.diff(rows[rows >= found.index(True)]).max(initial=0))
+
+
+def _in_rig(T_world_rig: FloatArray, p: FloatArray) -> FloatArray:
+    """A point (3,) in the rig's frame."""
+    return np.asarray(T_world_rig[:3, :3].T @ (p - T_world_rig[:3, 3]))
+
+
+def _across(frame: ComparedFrame, row: IntArray) -> float:
+    """How far to the left of the rig a true object is, NaN where there is none."""
+    return float(_in_rig(frame.T_true, frame.objects.center[row[0]])[1]) if len(row) else np.nan
 
 
 if __name__ == "__main__":

@@ -25,6 +25,25 @@ from ovmot.types import (
 from ovmot.vio.imu_buffer import ImuBuffer
 
 
+class HiddenFeatures(NamedTuple):
+    """L features of bodies that are out of sight, at a frame's stamp: ids, numbers (L,) of their
+    bodies, places (L, 3) in the left camera, metres, with a standard deviation (L,) in any
+    direction, and velocities (L, 3), m/s."""
+
+    timestamp_ns: int
+    feature_id: IntArray
+    body: IntArray
+    p_cam0: FloatArray
+    sigma_m: FloatArray
+    velocity: FloatArray
+
+
+def no_hidden_features() -> HiddenFeatures:
+    """Of no body."""
+    ids, vectors = np.empty(0, np.int64), np.empty((0, 3))
+    return HiddenFeatures(0, ids, ids, vectors, np.empty(0), vectors)
+
+
 @dataclass(frozen=True, slots=True)
 class Feedback:
     """What the later stages of one frame tell the front end and the segmentation of the next.
@@ -36,6 +55,7 @@ class Feedback:
     m/s in the left camera's axes. Where more features are wanted: left pixels `focus_uv` (N, 2) and
     radii `focus_radius_px` (N,). Features that objects hold, which the odometry source leaves
     alone: `held_id` (K,). Those and all that were found dynamic, in any order: `dynamic_id` (D,).
+    Features that bodies had, and that may be seen `hidden` no longer.
     """
 
     rig: StereoRig
@@ -46,13 +66,15 @@ class Feedback:
     focus_radius_px: FloatArray
     held_id: IntArray
     dynamic_id: IntArray
+    hidden: HiddenFeatures
 
 
 def no_feedback(rig: StereoRig) -> Feedback:
     """That of a first frame: nothing is known but the calibration."""
     ids = np.empty(0, dtype=np.int64)
     return Feedback(
-        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids, ids
+        rig, float("nan"), ids, np.empty((0, 3)), np.empty((0, 2)), np.empty(0), ids, ids,
+        no_hidden_features(),
     )  # fmt: skip
 
 

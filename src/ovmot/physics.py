@@ -56,6 +56,9 @@ say none: gyro rad/s/√Hz, its walk rad/s²/√Hz, accel m/s²/√Hz, its walk 
 # Road users. Sources: Directive 96/53/EC (greatest vehicle dimensions).
 ACCEL_SIGMA_MPS2 = 1.5
 """Standard deviation of a road user's acceleration along and across its way in ordinary traffic."""
+FULL_BRAKING_MPS2 = 8.0
+"""Deceleration of a car that brakes fully on dry asphalt (P. Greibe, "Braking distance, friction
+and behaviour", Trafitec 2007: 8 to 9)."""
 TURN_SPREAD_MPS = 0.5
 """Velocities of points of one turning body differ by this: 0.4 rad/s at 1.25 m from its centre."""
 ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)
@@ -134,6 +137,10 @@ def tracked_pixel_sigma(n_frames: float) -> float:
 def sigmas(probability: float) -> float:
     """Standard deviations that a Gaussian error stays below, on one side, with this probability."""
     return float(ndtri(probability))
+
+
+UNIFORM_VARIANCE = 1.0 / 12.0
+"""Of what is anywhere between 0 and 1."""
 
 
 @lru_cache(maxsize=4096)

@@ -166,7 +166,8 @@ def test_corners_are_denser_where_the_focus_is_and_none_where_the_mask_is(dots: 
 
 
 def test_more_features_are_wanted_around_what_moves_or_may() -> None:
-    """Half of the width at the depth of each; a static point and one without depth have none."""
+    """Half of the width at the depth of each; a static point and one without depth have none. Also
+    where a body may come into sight, if that is in the image."""
     camera = Camera.make((640, 480), (400.0, 400.0), (320.0, 240.0))
     n = 5
     p = np.column_stack([np.zeros(n), np.zeros(n), [10.0, 20.0, 5.0, np.nan, 8.0]])
@@ -178,9 +179,11 @@ def test_more_features_are_wanted_around_what_moves_or_may() -> None:
         np.arange(n), pixels, p, np.zeros((n, 3, 3)), label, np.array([-1, 4, -1, -1, -1]),
         none, none, none[:, 0], none[:, 0], np.ones(n, dtype=np.bool_),
     )  # fmt: skip
-    uv, radius = focus_areas(points, np.arange(n) == 4, camera)
-    np.testing.assert_array_equal(uv, pixels[[0, 1, 4], :2])
-    np.testing.assert_allclose(radius, [52.0, 26.0, 65.0])
+    places = np.array([[1.0, 0.5, 20.0], [30.0, 0.0, 20.0], [0.0, 0.0, -5.0]])
+    uv, radius = focus_areas(points, np.arange(n) == 4, places, camera)
+    np.testing.assert_array_equal(uv[:3], pixels[[0, 1, 4], :2])
+    np.testing.assert_allclose(uv[3:], [[340.0, 250.0]])
+    np.testing.assert_allclose(radius, [52.0, 26.0, 65.0, 26.0])
 
 
 def test_full_cells_are_left_out_before_corners_are_sought(dots: Image) -> None:

@@ -4,15 +4,15 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
+from painted_bodies import street_and_body
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.klt_tracker import FeatureIds, KltTracker
+from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, static_world
 from ovmot.frontend.preprocessing import preprocess
 from ovmot.frontend.stereo_tracker import StereoTracker
-from ovmot.geometry.arrays import FloatArray, Image
+from ovmot.geometry.arrays import Image
 from ovmot.interfaces import no_feedback
 from ovmot.settings import EpipolarSettings, TrackerSettings
 from ovmot.types import StereoFrame
@@ -83,19 +83,6 @@ def workers() -> Iterator[ThreadPoolExecutor]:
         yield pool
 
 
-def blobs(seed: int, size: tuple[int, int]) -> FloatArray:
-    """Texture (height, width) of grey levels around 128."""
-    soft = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(size), (0, 0), 2.0)
-    return np.asarray(128.0 + 45.0 * soft / soft.std(), np.float64)
-
-
-def street_and_body(u: int) -> Image:
-    """A static background, and before it a body of 60x60 pixels whose left side is at column u."""
-    grey = blobs(1, (240, 320))
-    grey[90:150, u : u + 60] = blobs(2, (60, 60))
-    return np.asarray(np.clip(np.round(grey), 0, 255), dtype=np.uint8)
-
-
 def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_reach(
     painted_rig: StereoRig, workers: ThreadPoolExecutor
 ) -> None:
@@ -108,9 +95,10 @@ def test_a_body_that_has_just_come_into_view_is_searched_where_flow_does_not_rea
         for k, image in enumerate(images)
     ]
     nowhere, none = np.empty((0, 3)), np.empty(0, dtype=np.int64)
-    first = tracker.step(views[0], nowhere, nowhere, np.eye(4), 2.0, None, none)
+    first = tracker.step(views[0], static_world(nowhere, np.eye(4)), None, none)
     p = 10.0 * np.column_stack([first.xy, np.ones(len(first))])
-    second = tracker.step(views[1], p, p, np.eye(4), 2.0, None, none)
+    expected = static_world(p, np.eye(4))._replace(way_m=2.0)
+    second = tracker.step(views[1], expected, None, none)
     _, a, b = np.intersect1d(first.feature_id, second.feature_id, return_indices=True)
     moved = second.uv[b] - first.uv[a]
     on_body = ((first.uv[a] > [108, 98]) & (first.uv[a] < [152, 142])).all(axis=1)
@@ -136,9 +124,10 @@ def test_the_nearer_a_body_is_the_farther_it_is_searched(
     share = {}
     for depth in (10.0, 5.0):
         tracker = KltTracker(settings, workers, FeatureIds())
-        first = tracker.step(views[0], nowhere, nowhere, np.eye(4), 1.5, None, none)
+        first = tracker.step(views[0], static_world(nowhere, np.eye(4)), None, none)
         p = depth * np.column_stack([first.xy, np.ones(len(first))])
-        second = tracker.step(views[1], p, p, np.eye(4), 1.5, None, none)
+        expected = static_world(p, np.eye(4))._replace(way_m=1.5)
+        second = tracker.step(views[1], expected, None, none)
         body = first.feature_id[((first.uv > [108, 98]) & (first.uv < [152, 142])).all(axis=1)]
         ids, a, b = np.intersect1d(first.feature_id, second.feature_id, return_indices=True)
         off = np.abs(second.uv[b] - first.uv[a] - [45.0, 0.0]).max(axis=1)

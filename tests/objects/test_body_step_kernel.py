@@ -66,8 +66,10 @@ def advanced(body: Body, frame: FrameViews) -> Body:
     state, status, _ = update_body(predicted, view, RULES.gates)
     used = int(((status == STEREO) | (status == LEFT)).sum())
     failures = np.where(status == REFUSED, body.failures + 1, 0)
-    if used < RULES.least:
+    pairs = np.isfinite(frame.xy[:, 2]).any()
+    if used < RULES.least or (pairs and not (status == STEREO).any()):
         state, status = predicted, np.full_like(status, UNSEEN)
+        used = min(used, RULES.least - 1)
     last_xy = np.where(np.isfinite(xy[:, :2]), xy[:, :2], body.last_xy)
     moved = body._replace(
         timestamp_ns=frame.timestamp_ns, state=state, last_xy=last_xy, failures=failures,
@@ -90,6 +92,19 @@ def test_a_step_is_that_of_the_plain_twin(before: int) -> None:
     assert (3 in found.feature_id) is (before == 0)
     assert 1 not in found.feature_id and 1 in found.map.feature_id
     assert 7 not in found.map.feature_id  # the pair of a wrong match, for the second time
+
+
+@pytest.mark.parametrize("one_camera", [False, True])
+def test_views_without_a_match_show_a_body_only_where_none_has_one(one_camera: bool) -> None:
+    """What stereo does not match lies at an edge, unless the right picture is missing."""
+    rng = np.random.default_rng(3)
+    body = some_body(rng)
+    frame = some_frame(rng, body)
+    other = ~np.isin(frame.feature_id, body.map.feature_id)
+    frame.xy[:, 2:] = np.where((other & (not one_camera))[:, None], frame.xy[:, 2:], np.nan)
+    found = advance_body_compiled(body, frame, manoeuvres(frame.focal), RULES)
+    assert_same(found, advanced(body, frame))
+    assert (found.n_used >= RULES.least) is one_camera
 
 
 def test_a_single_feature_does_not_move_a_body() -> None:

@@ -3,12 +3,15 @@
 import numpy as np
 from object_fixtures import feature_motions, frame_of, make_track, scene_points
 
+from ovmot.geometry.so3 import rotation_z
 from ovmot.objects.body_box import GAP_M
 from ovmot.objects.track import TrackState
 from ovmot.objects.track_features import (
     LIMITS,
     are_seen,
     held_by,
+    hidden_features,
+    hidden_places,
     hulls_of,
     ids_of,
     moving_of,
@@ -80,3 +83,24 @@ def test_what_moves_on_with_a_track_is_its_own_and_what_is_new_in_its_box() -> N
     assert ids.tolist() == [0, 2]
     np.testing.assert_allclose(velocity, np.tile(track.velocity, (2, 1)))
     assert len(velocities_of_members(held_by([]), hulls_of([]), feature_motions(v, p))[0]) == 0
+
+
+def test_where_the_features_of_hidden_bodies_are() -> None:
+    """Those of tracks that coast, in the left camera, and the places where the bodies may stand."""
+    seen = make_track((10.0, 0.0, 1.6), ids=[1])
+    seen = seen._replace(body=seen.body._replace(n_used=5))
+    lost = make_track((20.0, 4.0, 1.6), (0.0, -8.0, 0.0), [2], 9, TrackState.COASTING)
+    now_ns = lost.updated_ns + 500_000_000
+    frame = frame_of(scene_points([]), now_ns)
+    hidden = hidden_features([seen, lost], frame)
+    np.testing.assert_array_equal(np.sort(hidden.feature_id), np.sort(lost.body.map.feature_id))
+    corners = lost.position + lost.body.map.f @ rotation_z(float(lost.body.state.x[3])).T
+    expected = np.stack([-corners[:, 1], 1.6 - corners[:, 2], corners[:, 0]], axis=1)
+    order = np.argsort(lost.body.map.feature_id)
+    np.testing.assert_allclose(hidden.p_cam0[np.argsort(hidden.feature_id)], expected[order])
+    np.testing.assert_allclose(hidden.velocity, [[8.0, 0.0, 0.0]] * len(corners), atol=1e-12)
+    assert (hidden.sigma_m > 0.1).all()  # more than the track's own
+    # it goes on to y = 4, or has braked by 1 m
+    places = hidden_places([seen, lost], frame)
+    np.testing.assert_allclose(places[[0, -1]], [[-4.0, 0.0, 20.0], [-5.0, 0.0, 20.0]], atol=1e-9)
+    assert len(hidden_features([seen], frame).feature_id) == len(hidden_places([seen], frame)) == 0

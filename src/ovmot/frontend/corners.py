@@ -81,20 +81,25 @@ def even_spread(n_most: int, fine_cell_px: int, shape: tuple[int, ...]) -> Sprea
 
 
 def focus_areas(
-    points: ScenePoints, outlier: BoolArray, camera: Camera
+    points: ScenePoints, outlier: BoolArray, places: FloatArray, camera: Camera
 ) -> tuple[FloatArray, FloatArray]:
     """Where more features are wanted: left pixels (M, 2) and radii (M,) in pixels around them.
 
     They are those of points that move or do not look static: dynamic ones, those of objects, and
-    the `outlier` ones (N,). A radius is half of a vehicle's greatest width at the point's depth:
+    the `outlier` ones (N,); and places (K, 3) in the camera's frame where bodies may come into
+    sight. A radius is half of a vehicle's greatest width at the point's depth:
     the parts of the same body that are not seen yet lie that near. Its length, which it shows from
     the side alone, would reach beyond its ends to the street.
     """
     depth = points.p_cam0[:, 2]
     moving = (points.label == int(PointLabel.DYNAMIC)) | (points.track_id >= 0)
     chosen = np.flatnonzero((moving | outlier) & np.isfinite(depth))
-    radius = 0.5 * MAX_VEHICLE_SIZE_M[1] * camera.fx / np.maximum(depth[chosen], 1.0)
-    return points.pixels[chosen, :2], radius
+    ahead = places[places[:, 2] > 1.0]
+    uv = np.concatenate([points.pixels[chosen, :2], camera.project(ahead)])
+    inside = camera.inside(uv)
+    depth = np.concatenate([depth[chosen], ahead[:, 2]])[inside]
+    radius = 0.5 * MAX_VEHICLE_SIZE_M[1] * camera.fx / np.maximum(depth, 1.0)
+    return uv[inside], radius
 
 
 def focus_mask(

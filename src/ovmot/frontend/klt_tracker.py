@@ -2,6 +2,7 @@
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,15 @@ from ovmot.frontend.feature_search import (
     near_levels,
     only_fitting,
     recover_lost,
+)
+from ovmot.frontend.hidden_features import (
+    REPLY_FRAMES,
+    ExpectedPlaces,
+    HiddenPatches,
+    hidden_now,
+    none_expected,
+    none_hidden,
+    seen_again,
 )
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.prediction import predict_tracks, unexplained_flow
@@ -54,6 +64,27 @@ class TrackedPoints:
         return len(self.feature_id)
 
 
+class Expected(NamedTuple):
+    """What is known of an image before it is looked at.
+
+    `p_before` (N, 3), metres: the last points in the camera's frame of then, NaN where unknown, and
+    `p_predicted` (N, 3) where in that frame they are now, if they move on their own. `T_now_before`
+    (4, 4): predicted motion of the camera since. `way_m`: how far a body that has just come into
+    view may have moved since. `hidden`: where features are that were lost.
+    """
+
+    p_before: FloatArray
+    p_predicted: FloatArray
+    T_now_before: FloatArray
+    way_m: float
+    hidden: ExpectedPlaces
+
+
+def static_world(p_before: FloatArray, T_now_before: FloatArray) -> Expected:
+    """Points (N, 3) that are all at rest."""
+    return Expected(p_before, p_before, T_now_before, 0.0, none_expected())
+
+
 class FeatureIds:
     """Gives out ids, none of them twice."""
 
@@ -76,43 +107,36 @@ class KltTracker:
         self._pyramid: Pyramid | None = None
         self.points = no_points()
         self.patches = PatchStore()
+        self._hidden = none_hidden()
 
     def step(
-        self,
-        view: View,
-        p_before: FloatArray,
-        p_predicted: FloatArray,
-        T_now_before: FloatArray,
-        way_m: float,
-        focus: Image | None,
-        dynamic_id: IntArray,
+        self, view: View, expected: Expected, focus: Image | None, dynamic_id: IntArray
     ) -> TrackedPoints:
         """The points of this view: those of the last one that are tracked, and new corners.
 
-        `p_before` (N, 3), metres: the last points in the camera's frame of then, NaN where
-        unknown, and `p_predicted` where in that frame they are now, if they move on their own.
-        `T_now_before` (4, 4): predicted motion of the camera since. `way_m`: how far a body
-        that has just come into view may have moved since. `focus` (height, width): not zero where
-        more corners are wanted. `dynamic_id` (D,): features that are none of the static ones of
-        which a number is asked for.
+        `focus` (height, width): not zero where more corners are wanted. `dynamic_id` (D,): features
+        that are none of the static ones of which a number is asked for.
         """
-        tracked = self._track(view, p_before, p_predicted, T_now_before, way_m)
-        self.patches.keep(tracked.slot)
-        self.points = self._with_corners(view, tracked, focus, dynamic_id)
+        last, tracked = self.points, self._track(view, expected)
+        lost = np.flatnonzero(~contained(last.feature_id, np.sort(tracked.feature_id)))
+        self._hidden = hidden_now(
+            self._hidden, last.feature_id[lost], last.slot[lost], expected.hidden.feature_id
+        )
+        self.patches.keep(np.concatenate([tracked.slot, self._hidden.slot]))
+        points = self._with_corners(view, tracked, focus, dynamic_id)
+        self.points = self._with_old_ids(view, points, expected.hidden, dynamic_id)
         self._pyramid = view.pyramid
         return self.points
 
     def take_over(self, view: View, points: TrackedPoints) -> None:
         """Go on with `points`, found in this view otherwise; their patches are cut here."""
-        self.patches = PatchStore()
+        self.patches, self._hidden = PatchStore(), none_hidden()
         self.points = replace(points, slot=self.patches.add(view.words, points.uv))
         self._pyramid = view.pyramid
 
-    def _track(
-        self, view: View, p_before: FloatArray, p_predicted: FloatArray, T_now_before: FloatArray,
-        way_m: float,
-    ) -> TrackedPoints:  # fmt: skip
+    def _track(self, view: View, expected: Expected) -> TrackedPoints:
         """The last image's points in this one, without those that are lost."""
+        p_before, p_predicted, T_now_before, way_m, _ = expected
         last, camera = self.points, view.camera
         cell_px = fine_cell_px(view.image.shape, self._settings)
         if self._pyramid is None:
@@ -194,6 +218,28 @@ class KltTracker:
             inlier=np.concatenate([tracked.inlier, np.ones(n, dtype=np.bool_)]),
             slot=np.concatenate([tracked.slot, self.patches.add(view.words, uv)]),
         )
+
+    def _with_old_ids(
+        self, view: View, points: TrackedPoints, expected: ExpectedPlaces, dynamic_id: IntArray
+    ) -> TrackedPoints:
+        """The points, those that show hidden features, and are no object's, with their ids."""
+        hidden = self._hidden
+        rows = np.flatnonzero(~contained(points.feature_id, np.sort(dynamic_id)))
+        again = seen_again(
+            hidden, expected, self.patches, view, points.uv[rows], points.slot[rows], self._helper
+        )
+        if not len(again.hidden):
+            return points
+        at, old = rows[again.other], again.hidden
+        feature_id, slot = points.feature_id.copy(), points.slot.copy()
+        uv, xy, length = points.uv.copy(), points.xy.copy(), points.track_length.copy()
+        feature_id[at], slot[at], uv[at] = hidden.feature_id[old], hidden.slot[old], again.uv
+        xy[at], length[at] = view.camera.normalize(again.uv), REPLY_FRAMES
+        self.patches.warp[slot[at]] = again.warp
+        rest = np.delete(np.arange(len(hidden.slot)), old)
+        self._hidden = HiddenPatches(*(values[rest] for values in hidden))
+        self.patches.keep(np.concatenate([slot, self._hidden.slot]))
+        return replace(points, feature_id=feature_id, uv=uv, xy=xy, track_length=length, slot=slot)
 
 
 def no_points() -> TrackedPoints:

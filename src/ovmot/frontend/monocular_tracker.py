@@ -7,7 +7,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar import no_matches
-from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
+from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints, static_world
 from ovmot.frontend.positions import positions_by_motion
 from ovmot.frontend.prediction import motion_of_right
 from ovmot.frontend.preprocessing import LEFT, preprocess
@@ -58,10 +58,8 @@ class MonocularTracker:
         for side, tracker in self._trackers.items():
             T = T_now_before if side == LEFT else motion_of_right(T_now_before, self._rig)
             last = tracker.points
-            p_static = self._positions[side]
-            points[side] = tracker.step(
-                views[side], p_static, p_static, T, 0.0, None, feedback.dynamic_id
-            )
+            expected = static_world(self._positions[side], T)
+            points[side] = tracker.step(views[side], expected, None, feedback.dynamic_id)
             self._positions[side] = positions_by_motion(last, points[side], T)
         return _joined(frame.timestamp_ns, points), no_matches()
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
+from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints, static_world
 from ovmot.frontend.positions import carried_positions
 from ovmot.frontend.prediction import motion_of_right
 from ovmot.frontend.preprocessing import View
@@ -79,7 +79,7 @@ class RightAlone:
                 self._tracker.take_over(before.view, points)
                 self._p_cam1 = se3.apply(rig.T_cam1_cam0, p_cam0)
         T, last = motion_of_right(T_now_before, rig), self._tracker.points
-        points = self._tracker.step(view, self._p_cam1, self._p_cam1, T, 0.0, None, dynamic_id)
+        points = self._tracker.step(view, static_world(self._p_cam1, T), None, dynamic_id)
         self._p_cam1 = carried_positions(last, points, self._p_cam1, T)
         unseen = np.full((len(points), 2), np.nan)
         return FrontendFrame(

@@ -12,7 +12,8 @@ from ovmot.frontend.corners import fine_cell_px, focus_mask
 from ovmot.frontend.epipolar import gate_matches, no_matches
 from ovmot.frontend.epipolar_kernel import GatedPairs, pair_up_compiled
 from ovmot.frontend.feature_search import Sought
-from ovmot.frontend.klt_tracker import FeatureIds, KltTracker, TrackedPoints
+from ovmot.frontend.hidden_features import REPLY_FRAMES, expected_places
+from ovmot.frontend.klt_tracker import Expected, FeatureIds, KltTracker, TrackedPoints
 from ovmot.frontend.pictures import LastPictures, Pictures, judge_pictures
 from ovmot.frontend.positions import carried_positions
 from ovmot.frontend.prediction import median_flow_px, predict_right
@@ -65,6 +66,7 @@ class StereoTracker:
         self._p_cam0 = np.empty((0, 3))
         self._T_since = np.eye(4)
         self._last_right: RightView | None = None
+        self._steps: tuple[tuple[int, FloatArray], ...] = ()  # stamps and motions to them, the last
 
     def close(self) -> None:
         """Stop the helping thread."""
@@ -81,6 +83,7 @@ class StereoTracker:
         """
         self._rig = feedback.rig
         self._T_since = T_now_before @ self._T_since
+        self._steps = (*self._steps[1 - REPLY_FRAMES :], (frame.timestamp_ns, T_now_before))
         pictures = self._judge(frame, T_now_before)
         fine = tuple(side for side in (LEFT, RIGHT) if pictures[side] == Picture.FINE)
         views = dict(
@@ -115,10 +118,11 @@ class StereoTracker:
         p_predicted = p_before + self._displacements(feedback, dt_s)
         shape, cell_px = left.image.shape, fine_cell_px(left.image.shape, self._settings)
         focus = focus_mask(shape, feedback.focus_uv, feedback.focus_radius_px, cell_px)
-        way_m = ROAD_SPEED_SIGMA_MPS[0] * dt_s
-        points = self._left.step(
-            left, p_before, p_predicted, T_now_before, way_m, focus, feedback.dynamic_id
-        )
+        # bodies are looked for by their depths of the last stereo pair
+        way_m = 0.0 if self._last_right is None else ROAD_SPEED_SIGMA_MPS[0] * dt_s
+        hidden = expected_places(feedback.hidden, timestamp_ns, self._steps)
+        expected = Expected(p_before, p_predicted, T_now_before, way_m, hidden)
+        points = self._left.step(left, expected, focus, feedback.dynamic_id)
         # match them into the right image, and gate the matches
         if right is None:
             unseen, matches = np.full((len(points), 2), np.nan), no_matches()

@@ -31,6 +31,8 @@ MOST_IN_STATE = 20
 """Features in the state: more cost more than they tell."""
 LEAST_SEEN = 2
 """Features by which a body is seen."""
+RIGID_POINTS = 3
+"""Points that show a rigid motion."""
 _LIFT = 0.2  # m/s²/√Hz: slopes of roads
 _IN_GATE, _IN_HUBER = 0.999, 0.9
 GATES = Gates(

@@ -6,7 +6,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.body import (
-    LEAST_SEEN,
+    RIGID_POINTS,
     VelocityPrior,
     advance,
     empty_body,
@@ -37,7 +37,7 @@ def start_body(
     """
     own = np.flatnonzero(np.isin(history.feature_id, feature_id))
     shown = np.isfinite(history.p_then[:, own, 2]).sum(1)
-    rows = np.flatnonzero(shown >= LEAST_SEEN).tolist()
+    rows = np.flatnonzero(shown >= RIGID_POINTS).tolist()
     earlier = views_then(history, rows, feature_id, frame.timestamp_ns, window, rig)
     frames = [*earlier, _after(frame, history, rows, window, rig)]
     first = frames[0]

@@ -97,7 +97,8 @@ class FrameViews(NamedTuple):
 class Rules(NamedTuple):
     """What counts: features of the state within `gates`, and stereo pairs of the map within a
     squared distance `map_gate`. A feature that did not fit for so many `failures` in a row leaves;
-    a body is seen by at `least` so many: a single one may be of what hides it."""
+    a body is seen by at `least` so many, one of them in both views if the frame has such features:
+    a single one may be of what hides it, and what stereo does not match may be its edge."""
 
     gates: Gates
     map_gate: float
@@ -128,14 +129,15 @@ def advance_body(body: Body, frame: FrameViews, m: Manoeuvres, rules: Rules) -> 
     predicted = predict_body(body.state, dt, m, frame.step, drift)
     view = StereoView(xy, frame.T_cam0_world, frame.T_cam1_cam0, frame.variance)
     state, status, _ = update_body(predicted, view, rules.gates)
-    failed, used = np.zeros(n, np.int64), 0
+    failed, used, in_stereo = np.zeros(n, np.int64), 0, 0
     for i in range(n):
         if status[i] == REFUSED:
             failed[i] = body.failures[i] + 1
         elif status[i] == STEREO or status[i] == LEFT:
             used += 1
-    if used < rules.least:
-        state, status = predicted, np.full(n, UNSEEN)
+            in_stereo += status[i] == STEREO
+    if used < rules.least or (in_stereo == 0 and is_stereo(frame)):
+        state, status, used = predicted, np.full(n, UNSEEN), min(used, rules.least - 1)
     # 3 the map; what does not fit leaves both
     moved = Body(
         frame.timestamp_ns, state, body.feature_id, failed, last_xy, body.map, used
@@ -143,6 +145,12 @@ def advance_body(body: Body, frame: FrameViews, m: Manoeuvres, rules: Rules) -> 
     new = updated_map(moved, frame, status, rules.map_gate)
     fits = with_map(moved, chosen(new, new.failures < rules.failures))
     return with_state_of(fits, failed < rules.failures)
+
+
+@part
+def is_stereo(frame: FrameViews) -> bool:
+    """Has a frame any feature in both views? What has no match then is at an edge, as a rule."""
+    return bool(np.isfinite(frame.xy[:, 2]).any())
 
 
 @part

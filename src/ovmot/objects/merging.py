@@ -14,12 +14,13 @@ from ovmot.physics import (
     LEAST_HEADWAY_S,
     MAX_VEHICLE_SIZE_M,
     SIZE_SPREAD,
-    TURN_SPREAD_MPS,
+    YAW_RATE_SIGMA_RPS,
     gate,
     sigmas,
 )
 
 _MERGE_FRAMES = 3  # in a row after which a track that lies on an older one ends
+_HALVES_MPS = YAW_RATE_SIGMA_RPS * 0.25 * CAR_SIZE_M[0]  # of the halves of a car that turns
 _MAX_RIDER_M = (1.0 + sigmas(0.975) * SIZE_SPREAD) * np.array(CYCLIST_SIZE_M)
 BESIDE_NS = 500_000_000
 """Two tracks that were seen together for so long are two bodies."""
@@ -31,7 +32,7 @@ def merge_duplicates(tracks: Sequence[Track], hulls: Hulls) -> tuple[Track, ...]
     The older one's id stays, with the state of the one with more features. Until then a new
     duplicate stays tentative. `hulls` are those of the tracks.
     """
-    alike = alike_velocities_compiled(hulls, TURN_SPREAD_MPS, gate(3, 0.99))
+    alike = alike_velocities_compiled(hulls, _HALVES_MPS, gate(3, 0.99))
     out: dict[int, Track] = {}  # by the row of the hull that each of them has
     for k, track in enumerate(tracks):
         older = next((i for i in out if alike[i, k] and _are_one(track, out[i])), None)

@@ -9,7 +9,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.feature_table import StereoHistory
 from ovmot.frontend.corners import focus_areas
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.interfaces import Feedback
+from ovmot.interfaces import Feedback, HiddenFeatures, no_hidden_features
 from ovmot.objects.body import VelocityPrior
 from ovmot.objects.body_birth import start_body
 from ovmot.objects.body_step_kernel import Body
@@ -31,7 +31,8 @@ class ObjectsResult:
 
     `held_id` (K,): features that the odometry source must not use. `moving_id` (M,): features that
     move on with a track, `moving_velocity` (M, 3) in m/s in the left camera's axes. More features
-    are wanted around left pixels `focus_uv` (N, 2), within `focus_radius_px` (N,).
+    are wanted around left pixels `focus_uv` (N, 2), within `focus_radius_px` (N,). `hidden`: those
+    that bodies out of sight had.
     """
 
     tracks: tuple[ObjectTrack, ...]
@@ -41,6 +42,7 @@ class ObjectsResult:
     moving_velocity: FloatArray
     focus_uv: FloatArray
     focus_radius_px: FloatArray
+    hidden: HiddenFeatures
 
     def feedback(self, rig: StereoRig, pixel_sigma: float, dynamic_id: IntArray) -> Feedback:
         """The feedback for later frames, with the calibration, the pixel noise and the dynamic
@@ -54,6 +56,7 @@ class ObjectsResult:
             focus_radius_px=self.focus_radius_px,
             held_id=self.held_id,
             dynamic_id=np.union1d(self.held_id, dynamic_id),
+            hidden=self.hidden,
         )
 
 
@@ -85,7 +88,14 @@ class MovingObjects:
         if not self._settings.enabled:
             none = np.empty(0, dtype=np.int64)
             return ObjectsResult(
-                (), segmentation.points, none, none, np.empty((0, 3)), np.empty((0, 2)), np.empty(0)
+                (),
+                segmentation.points,
+                none,
+                none,
+                np.empty((0, 3)),
+                np.empty((0, 2)),
+                np.empty(0),
+                no_hidden_features(),
             )
         tracker = self._tracker
         T_world_cam0 = window.T_world_imu[-1] @ rig.T_imu_cam0
@@ -107,10 +117,13 @@ class MovingObjects:
         self._speeds, tracks = classified(self._speeds, tracks, now_ns)
         held = held_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.predicted_velocities(motions)
-        uv, radius_px = focus_areas(points, segmentation.outlier, rig.cam0)
+        hidden = tracker.hidden_features(frame)
+        places = tracker.hidden_places(frame)
+        uv, radius_px = focus_areas(points, segmentation.outlier, places, rig.cam0)
         return ObjectsResult(
-            tracks, points, held, moving, velocity @ T_world_cam0[:3, :3], uv, radius_px
-        )
+            tracks, points, np.union1d(held, hidden.feature_id), moving,
+            velocity @ T_world_cam0[:3, :3], uv, radius_px, hidden,
+        )  # fmt: skip
 
 
 def held_features(points: ScenePoints, max_share: float) -> IntArray:

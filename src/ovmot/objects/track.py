@@ -12,6 +12,8 @@ from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box,
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.motion_evidence import Origin, body_log_ratio, carried_origin
+from ovmot.objects.reappearance import body_seen_again
+from ovmot.physics import STEADY_S
 from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
@@ -20,7 +22,6 @@ LEAST_CENTRE_SIGMA_M = 0.2
 """The same of what is small."""
 DRIVES_MPS = 3.0
 """Faster than who walks."""
-_STEADY_S = 1.0  # over which a box takes on what was newly seen
 
 
 class TrackState(StrEnum):
@@ -151,7 +152,7 @@ def rests(track: Track, settings: ObjectTrackSettings) -> bool:
 def advance_track(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> Track:
     """The track predicted to a frame, updated by its features, and tested if it is tentative."""
     track = track._replace(origin=carried_origin(track.origin, frame.correction))
-    body = advance(track.body, frame)
+    body = _advanced(track, frame)
     dt = 1e-9 * (frame.timestamp_ns - track.body.timestamp_ns)
     if body.n_used < LEAST_SEEN:
         return _unseen(track, body)
@@ -162,12 +163,22 @@ def advance_track(track: Track, frame: FrameViews, settings: ObjectTrackSettings
     heading = updated_heading(track.heading, body, track.position, camera, dt)
     # the box changes slowly in the body's frame, as more of it is seen
     age_s = 1e-9 * (frame.timestamp_ns - track.born_ns)
-    gain = 1.0 - math.exp(-dt / max(min(age_s, _STEADY_S), dt))
+    gain = 1.0 - math.exp(-dt / max(min(age_s, STEADY_S), dt))
     box = steady_box(body, track.body, heading, track.box, track.least_size, camera, gain)
     track = track._replace(
         body=body, state=state, heading=heading, box=box, updated_ns=frame.timestamp_ns
     )
     return _tested(track, frame, track.body.n_used, settings)
+
+
+def _advanced(track: Track, frame: FrameViews) -> Body:
+    """Its body predicted to the frame and updated there. One that is out of sight, or nearly, is
+    where its lost features are seen again."""
+    body = advance(track.body, frame)
+    if body.n_used > LEAST_SEEN or track.state == TrackState.TENTATIVE:
+        return body
+    unseen_s = 1e-9 * (frame.timestamp_ns - track.updated_ns)
+    return body_seen_again(body, track.body.map, frame, unseen_s)
 
 
 def _unseen(track: Track, body: Body) -> Track:

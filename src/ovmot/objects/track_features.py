@@ -5,13 +5,22 @@ from math import log
 
 import numpy as np
 
+from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
+from ovmot.interfaces import HiddenFeatures
 from ovmot.kernels.table_kernel import columns_of_compiled
-from ovmot.objects.body import LEAST_SEEN, exchange_members, with_members
+from ovmot.objects.body import (
+    LEAST_SEEN,
+    MOST_IN_STATE,
+    VELOCITY,
+    exchange_members,
+    with_members,
+)
 from ovmot.objects.body_box import gap_of
 from ovmot.objects.body_step_kernel import FrameViews
 from ovmot.objects.feature_motions import FeatureMotions
 from ovmot.objects.merging import BESIDE_NS
+from ovmot.objects.reappearance import full_braking, unseen
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_features_kernel import (
     Held,
@@ -165,3 +174,43 @@ def velocities_of_members(
     row = carried_by_compiled(held, motions.feature_id, hulls, moving_of(motions), LIMITS)
     carried = row >= 0
     return motions.feature_id[carried], hulls.velocity[row[carried]]
+
+
+def hidden_features(tracks: Sequence[Track], frame: FrameViews) -> HiddenFeatures:
+    """Features of bodies that are out of sight, or nearly, where their maps have them now: of each
+    up to twice as many as its state holds, those that were seen most often."""
+    lost = [
+        t for t in tracks if t.state != TrackState.TENTATIVE and t.body.n_used <= LEAST_SEEN
+    ]  # fmt: skip
+    maps = [t.body.map for t in lost]
+    chosen = [np.argsort(-m.n_seen, kind="stable")[: 2 * MOST_IN_STATE] for m in maps]
+    n = [len(rows) for rows in chosen]
+    late = [unseen(t.body, 1e-9 * (frame.timestamp_ns - t.updated_ns)).state for t in lost]
+    places = [
+        s.x[:3] + m.f[rows] @ so3.rotation_z(s.x[3]).T
+        for s, m, rows in zip(late, maps, chosen, strict=True)
+    ]
+    sigma = [np.sqrt(0.5 * (s.P[0, 0] + s.P[1, 1])) for s in late]
+    velocity = np.array([s.x[VELOCITY] for s in late]).reshape(-1, 3)
+    return HiddenFeatures(
+        frame.timestamp_ns,
+        np.concatenate(
+            [_NONE, *(m.feature_id[rows] for m, rows in zip(maps, chosen, strict=True))]
+        ),
+        np.repeat(np.arange(len(lost)), n),
+        se3.apply(frame.T_cam0_world, np.concatenate([np.empty((0, 3)), *places])),
+        np.repeat(np.array(sigma, np.float64), n),
+        np.repeat(velocity @ frame.T_world_cam0[:3, :3], n, axis=0),
+    )
+
+
+def hidden_places(tracks: Sequence[Track], frame: FrameViews) -> FloatArray:
+    """Where the bodies that coast may come into sight (K, 3), in the left camera: from where they
+    go on to, to where they would be had they braked fully, a vehicle's width apart."""
+    places = [np.empty((0, 3))]
+    for track in tracks:
+        if track.state == TrackState.COASTING:
+            late = full_braking(track.body, 1e-9 * (frame.timestamp_ns - track.updated_ns)).late
+            n = 1 + int(np.hypot(late[0], late[1]) / MAX_VEHICLE_SIZE_M[1])
+            places.append(track.position - np.linspace(np.zeros(3), [*late, 0.0], n + 1))
+    return se3.apply(frame.T_cam0_world, np.concatenate(places))

@@ -7,6 +7,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
+from ovmot.interfaces import HiddenFeatures
 from ovmot.objects.association import associate
 from ovmot.objects.body import LEAST_SEEN, ROAD_USERS, VelocityPrior, prior_of
 from ovmot.objects.body_step_kernel import Body, FrameViews
@@ -31,6 +32,8 @@ from ovmot.objects.track_box import is_in_view
 from ovmot.objects.track_features import (
     are_seen,
     held_by,
+    hidden_features,
+    hidden_places,
     hulls_of,
     ids_of,
     own_features,
@@ -122,6 +125,14 @@ class ObjectTracker:
         sure = [t.state == TrackState.CONFIRMED and t.overlaps == 0 for t in self._tracks]
         owner = owners(self._held, np.array(sure, np.bool_), points.feature_id)
         return replace(points, track_id=ids_of(self._tracks)[owner])
+
+    def hidden_features(self, frame: FrameViews) -> HiddenFeatures:
+        """Those of bodies that were seen to move and are out of sight."""
+        return hidden_features(self._tracks, frame)
+
+    def hidden_places(self, frame: FrameViews) -> FloatArray:
+        """Where those bodies may come into sight (K, 3), in the left camera."""
+        return hidden_places(self._tracks, frame)
 
     def predicted_velocities(self, motions: FeatureMotions) -> tuple[IntArray, FloatArray]:
         """Features of this frame (K,) that move on with a track, and its velocity (K, 3), world."""
