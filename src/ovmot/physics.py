@@ -57,8 +57,8 @@ say none: gyro rad/s/√Hz, its walk rad/s²/√Hz, accel m/s²/√Hz, its walk 
 ACCEL_SIGMA_MPS2 = 1.5
 """Standard deviation of a road user's acceleration along and across its way in ordinary traffic."""
 FULL_BRAKING_MPS2 = 8.0
-"""Deceleration of a car that brakes fully on dry asphalt (P. Greibe, "Braking distance, friction
-and behaviour", Trafitec 2007: 8 to 9)."""
+"""Deceleration of a car that brakes fully: a friction of 0.8 on dry asphalt (T. Gillespie,
+Fundamentals of Vehicle Dynamics, 1992, ch. 3) times gravity."""
 TURN_SPREAD_MPS = 0.5
 """Velocities of points of one turning body differ by this: 0.4 rad/s at 1.25 m from its centre."""
 ROAD_SPEED_SIGMA_MPS = (10.0, 10.0, 0.5)

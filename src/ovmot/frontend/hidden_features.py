@@ -25,6 +25,8 @@ REPLY_FRAMES = 3
 """Frames after which the objects' word on a lost feature is there: they work two frames behind."""
 _LEAST = 3
 """Features that show a body again: two of a texture that repeats itself are soon found."""
+_MOST_PAIRS = 256
+"""Pairs that propose a displacement, the likeliest: a bound on the work before a wall of tiles."""
 _LIKELY = float(np.sqrt(0.5))
 """Correlation of patches from which on half of the variance is explained."""
 _NEAR = float(np.sqrt(gate(2, 0.99)))
@@ -156,7 +158,10 @@ def common_displacement(alike: FloatArray, off_px: FloatArray) -> tuple[IntArray
     none = np.empty(0, np.int64)
     if len(feature) < _LEAST:
         return none, none
-    off, weight = off_px[feature, corner], alike[feature, corner]
+    weight = alike[feature, corner]
+    likeliest = np.argsort(-weight, kind="stable")[:_MOST_PAIRS]
+    feature, corner, weight = feature[likeliest], corner[likeliest], weight[likeliest]
+    off = off_px[feature, corner]
     agrees = np.linalg.norm(off[None] - off[:, None], axis=2) < RADIUS
     rating = np.zeros((len(off), len(alike)))
     for k in range(len(off)):
