@@ -64,7 +64,12 @@ def test_features_that_are_few_or_disagree_or_too_far_show_nothing() -> None:
     body = hidden_body()
     off = np.zeros((4, 3))
     off[1:, 0] = [0.0, 3.0, -3.0]
-    for frame in (seen(body, 0.0, 2), seen(body, 0.0, 4, off), seen(body, 9.0, 4)):
+    for frame in (
+        seen(body, 0.0, 0),
+        seen(body, 0.0, 2),
+        seen(body, 0.0, 4, off),
+        seen(body, 9.0, 4),
+    ):
         assert body_seen_again(body, body.map, frame, UNSEEN_S) is body
 
 

@@ -50,8 +50,9 @@ def body_seen_again(body: Body, before: FeatureMap, frame: FrameViews, unseen_s:
     """
     lost = np.flatnonzero(~before.followed)
     at = positions(before.feature_id[lost], frame.feature_id)
-    again = (at >= 0) & np.isfinite(frame.p_world[at, 0])
-    lost, at = lost[again], at[again]
+    lost, at = lost[at >= 0], at[at >= 0]
+    in_stereo = np.isfinite(frame.p_world[at, 0])
+    lost, at = lost[in_stereo], at[in_stereo]
     if len(lost) < RIGID_POINTS:
         return body
     x, _, P = body.state
