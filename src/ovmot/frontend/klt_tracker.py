@@ -28,10 +28,11 @@ from ovmot.frontend.hidden_features import (
 )
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.prediction import predict_tracks, unexplained_flow
-from ovmot.frontend.prediction_kernel import LEAST_DEPTH_M, other_places_compiled
+from ovmot.frontend.prediction_kernel import other_places_compiled
 from ovmot.frontend.preprocessing import Pyramid, View
 from ovmot.geometry.arrays import BoolArray, FloatArray, Image, IntArray
 from ovmot.geometry.id_sets import contained
+from ovmot.physics import RIG_REACH_M
 from ovmot.settings import TrackerSettings
 
 _NEW = 2
@@ -154,7 +155,8 @@ class KltTracker:
         # a motion of less than half a window is found from the static position
         half_px = 0.5 * self._settings.klt_window_px
         places = other_places_compiled(last.uv, static_uv, start, first.uv, first.found, half_px)
-        reach_px = camera.fx * way_m / np.maximum(p_before[:, 2], LEAST_DEPTH_M)
+        # what would be nearer is the rig's own body, or wrong
+        reach_px = camera.fx * way_m / np.maximum(p_before[:, 2], RIG_REACH_M)
         unknown = ~first.found & ~moves & (reach_px > half_px)
         self._search(view, static_uv, unknown, reach_px, places[2])
         now = recover_lost(sought, view, first, places, self._settings, self._helper)
