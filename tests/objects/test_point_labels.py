@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from object_fixtures import FRAME_NS, feature_motions, make_track, scene_points
+from object_fixtures import feature_motions, make_track, scene_points
 
 from ovmot.geometry.arrays import FloatArray, IntArray
 from ovmot.objects.feature_motions import FeatureMotions
@@ -14,7 +14,7 @@ from ovmot.objects.track_features import hulls_of
 from ovmot.types import PointLabel, ScenePoints
 
 UNKNOWN, STATIC, DYNAMIC = (int(k) for k in PointLabel)
-NOTHING_BEFORE = speeds_of(0, ())
+NOTHING_BEFORE = speeds_of(())
 
 
 def track(
@@ -36,7 +36,7 @@ def labelled(
     points: ScenePoints, owner: IntArray, tracks: Sequence[Track], moving: FeatureMotions,
     before: Speeds,
 ) -> ScenePoints:  # fmt: skip
-    return label_points(FRAME_NS, points, owner, tracks, hulls_of(tracks), moving, before)
+    return label_points(points, owner, tracks, hulls_of(tracks), moving, before)
 
 
 def label_of(body: Track, before: Speeds = NOTHING_BEFORE, segmented: int = STATIC) -> int:
@@ -66,15 +66,15 @@ def test_a_point_does_what_its_track_does(speed: float, sigma: float, label: int
 def test_on_the_brakes_the_next_speed_counts(before: float, label: int) -> None:
     """0.4 m/s a frame carry 1.2 m/s on to less than 1 m/s; noise does not."""
     body = track(np.array([1.2, 0.0, 0.0]))
-    assert label_of(body, Speeds(0, np.array([3, 7]), np.array([9.0, before]))) == label
-    other = Speeds(0, np.array([3, 8]), np.array([9.0, before]))
+    assert label_of(body, Speeds(np.array([3, 7]), np.array([9.0, before]))) == label
+    other = Speeds(np.array([3, 8]), np.array([9.0, before]))
     assert label_of(body, other) == DYNAMIC
 
 
 def test_pulling_out_too() -> None:
     body = track(np.array([0.9, 0.0, 0.0]))
     assert label_of(body) == STATIC
-    assert label_of(body, Speeds(0, np.array([7]), np.array([0.6]))) == DYNAMIC
+    assert label_of(body, Speeds(np.array([7]), np.array([0.6]))) == DYNAMIC
 
 
 def test_beside_a_body_points_rest() -> None:
@@ -114,6 +114,6 @@ def test_speeds_are_in_the_order_of_ids() -> None:
         track(np.array([3.0, 4.0, 0.0]))._replace(track_id=9),
         track(np.array([0.0, 1.0, 0.0])),
     ]
-    speeds = speeds_of(5, bodies)
+    speeds = speeds_of(bodies)
     assert speeds.track_id.tolist() == [7, 9]
     np.testing.assert_allclose(speeds.speed, [1.0, 5.0], rtol=1e-3)

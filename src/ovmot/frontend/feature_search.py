@@ -24,6 +24,8 @@ SURE_CORRELATION = 0.95
 """The same without optical flow to lead there: a tenth of the variance is unlike at most, while a
 warp that is free to bend reaches the other bound on some wrong texture within reach."""
 
+LIKELY_CORRELATION = float(np.sqrt(0.5))
+"""From which on half of the variance is explained: a place worth a closer look."""
 RATIO = 0.8
 """Of the distances of the best match and of the next: D. Lowe, IJCV 2004, fig. 11."""
 NOISE = 2.0

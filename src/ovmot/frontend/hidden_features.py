@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.frontend.feature_search import RATIO, Sought, find_features
+from ovmot.frontend.feature_search import LIKELY_CORRELATION, RATIO, Sought, find_features
 from ovmot.frontend.patch_kernel import RADIUS
 from ovmot.frontend.patches import PatchStore
 from ovmot.frontend.preprocessing import View
@@ -27,8 +27,6 @@ _LEAST = 3
 """Features that show a body again: two of a texture that repeats itself are soon found."""
 _MOST_PAIRS = 256
 """Pairs that propose a displacement, the likeliest: a bound on the work before a wall of tiles."""
-_LIKELY = float(np.sqrt(0.5))
-"""Correlation of patches from which on half of the variance is explained."""
 _NEAR = float(np.sqrt(gate(2, 0.99)))
 """Standard deviations of the predicted place."""
 
@@ -154,7 +152,7 @@ def common_displacement(alike: FloatArray, off_px: FloatArray) -> tuple[IntArray
     correlations at it, up to half of a patch. None is taken with less than `_LEAST` features, nor
     if another displacement is rated nearly as well (D. Lowe's ratio).
     """
-    feature, corner = np.nonzero(alike > _LIKELY)
+    feature, corner = np.nonzero(alike > LIKELY_CORRELATION)
     none = np.empty(0, np.int64)
     if len(feature) < _LEAST:
         return none, none

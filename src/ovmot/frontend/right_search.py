@@ -11,6 +11,7 @@ from ovmot.cameras.lens_kernel import packed_camera
 from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar_scan_kernel import ScanRules, scan_curves_compiled
 from ovmot.frontend.feature_search import (
+    LIKELY_CORRELATION,
     NOISE,
     RATIO,
     Found,
@@ -27,7 +28,6 @@ from ovmot.settings import TrackerSettings
 
 _MOST_DISPARITY = 1.0 / 8.0
 """Of the image's width: 2.6 m of KITTI's rig, 0.6 m of EuRoC's."""
-_LEAST_CORRELATION = float(np.sqrt(0.5))  # half of the variance is explained
 
 
 class Pair(NamedTuple):
@@ -93,5 +93,5 @@ def scan_epipolar(pair: Pair, wanted: BoolArray) -> tuple[FloatArray, BoolArray]
     return scan_curves_compiled(
         left.pyramid.levels[1], right.pyramid.levels[1], margin_of(left.pyramid.window),
         points.uv, points.xy, wanted, rig.T_cam1_cam0, *packed_camera(right.camera),
-        ScanRules(least_depth, _LEAST_CORRELATION, RATIO, NOISE),
+        ScanRules(least_depth, LIKELY_CORRELATION, RATIO, NOISE),
     )  # fmt: skip

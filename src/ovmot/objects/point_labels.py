@@ -26,13 +26,11 @@ _NO_LABEL = -1
 class Speeds:
     """Speeds (T,) in m/s of tracks at one time, and their ids (T,), rising."""
 
-    timestamp_ns: int
     track_id: IntArray
     speed: FloatArray
 
 
 def label_points(
-    now_ns: int,
     points: ScenePoints,
     owner: IntArray,
     tracks: Sequence[Track],
@@ -56,12 +54,12 @@ def label_points(
     return replace(points, track_id=ids_of(tracks)[owner], label=label)
 
 
-def speeds_of(now_ns: int, tracks: Sequence[Track]) -> Speeds:
+def speeds_of(tracks: Sequence[Track]) -> Speeds:
     """The speeds of tracks."""
     ids = np.array([t.track_id for t in tracks], dtype=np.int64)
     speed = np.array([np.linalg.norm(t.velocity) for t in tracks], dtype=np.float64)
     order = np.argsort(ids)
-    return Speeds(now_ns, ids[order], speed[order])
+    return Speeds(ids[order], speed[order])
 
 
 def _next_speed(track: Track, before: Speeds) -> float:

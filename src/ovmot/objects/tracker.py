@@ -58,7 +58,7 @@ class ObjectTracker:
         self._tracks: tuple[Track, ...] = ()
         self._held, self._hulls = held_by(()), hulls_of(())
         self._next_id = 0
-        self._speeds = speeds_of(0, ())
+        self._speeds = speeds_of(())
 
     def step(
         self,
@@ -112,9 +112,9 @@ class ObjectTracker:
         self._held = held_by(self._tracks)
         owner = owners(self._held, are_seen(self._tracks), points.feature_id)
         output = to_object_tracks(self._tracks, now_ns, points.pixels, owner, T_world_cam0, rig)
-        before, self._speeds = self._speeds, speeds_of(now_ns, self._tracks)
+        before, self._speeds = self._speeds, speeds_of(self._tracks)
         self._hulls = hulls_of(self._tracks)
-        labelled = label_points(now_ns, points, owner, self._tracks, self._hulls, motions, before)
+        labelled = label_points(points, owner, self._tracks, self._hulls, motions, before)
         return output, labelled
 
     def with_track_ids(self, points: ScenePoints) -> ScenePoints:
