@@ -139,6 +139,8 @@ def sigmas(probability: float) -> float:
     return float(ndtri(probability))
 
 
+SIGMAS_95 = sigmas(0.975)
+"""Standard deviations within which, on both sides, a Gaussian error is with 95 %."""
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Of what is anywhere between 0 and 1."""
 

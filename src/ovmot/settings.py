@@ -285,6 +285,8 @@ class ObjectTrackSettings(Section):
     """Probability that a moving body is dropped, taken to rest: the test's β."""
     coast_s: float = Field(2.0, ge=0.0)
     """How long a confirmed track lives unseen."""
+    smoothing_s: float = Field(0.5, ge=0.0)
+    """Time constant by which the reported centre follows the corrections of the estimated one."""
 
 
 class RecordingSettings(Section):

@@ -42,6 +42,13 @@ def test_the_centre_is_half_as_uncertain_as_the_size() -> None:
     np.testing.assert_allclose(added, [0.2**2, 1.0**2, 0.3**2], atol=1e-9)
 
 
+def test_how_far_the_reported_centre_is_behind_is_in_its_sigma() -> None:
+    track = make_track((10.0, 1.0, 1.0), (3.0, 0.0, 0.0))
+    at_once, late = converted(track), converted(track._replace(lag=np.array([0.3, 0.0, -0.1])))
+    np.testing.assert_allclose(late.position - at_once.position, [0.3, 0.0, -0.1])
+    np.testing.assert_allclose(late.std_position**2 - at_once.std_position**2, [0.09, 0.0, 0.01])
+
+
 @pytest.mark.parametrize(
     ("x", "sigma_m", "missed_s", "state"),
     [

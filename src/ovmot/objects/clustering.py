@@ -13,11 +13,11 @@ from ovmot.physics import (
     ACCEL_SIGMA_MPS2,
     CAR_SIZE_M,
     MAX_VEHICLE_SIZE_M,
+    SIGMAS_95,
     STEADY_S,
     TURN_SPREAD_MPS,
     VARIANCE_FACTOR,
     gate,
-    sigmas,
 )
 from ovmot.segmentation.motion_tests import velocity_gates
 from ovmot.segmentation.static_comparison import ego_motion_since, pairs_of, stereo_noise
@@ -33,7 +33,7 @@ ONE_BODY = OneBody(
     velocity_gate=gate(3, 0.99),
     turn_mps=TURN_SPREAD_MPS,
     width_m=MAX_VEHICLE_SIZE_M[1],
-    sigmas=sigmas(0.975),
+    sigmas=SIGMAS_95,
 )
 
 

@@ -13,15 +13,15 @@ from ovmot.physics import (
     CYCLIST_SIZE_M,
     LEAST_HEADWAY_S,
     MAX_VEHICLE_SIZE_M,
+    SIGMAS_95,
     SIZE_SPREAD,
     YAW_RATE_SIGMA_RPS,
     gate,
-    sigmas,
 )
 
 _MERGE_FRAMES = 3  # in a row after which a track that lies on an older one ends
 _HALVES_MPS = YAW_RATE_SIGMA_RPS * 0.25 * CAR_SIZE_M[0]  # of the halves of a car that turns
-_MAX_RIDER_M = (1.0 + sigmas(0.975) * SIZE_SPREAD) * np.array(CYCLIST_SIZE_M)
+_MAX_RIDER_M = (1.0 + SIGMAS_95 * SIZE_SPREAD) * np.array(CYCLIST_SIZE_M)
 BESIDE_NS = 500_000_000
 """Two tracks that were seen together for so long are two bodies."""
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ovmot.cameras.rig import StereoRig
 from ovmot.geometry.arrays import FloatArray, IntArray
-from ovmot.objects.body_box_kernel import Box
+from ovmot.objects.reported_place import centre_sigma
 from ovmot.objects.track import Track, TrackState, horizontal_variance
 from ovmot.objects.track_box import is_in_view, projected_box
 from ovmot.objects.track_features_kernel import spans_of_compiled
@@ -35,38 +35,29 @@ def to_object_tracks(
         ObjectTrack(
             track_id=track.track_id,
             state=_output_state(track, now_ns, T_world_cam0, rig).value,
-            position=track.position,
+            position=track.position + track.lag,
             velocity=track.velocity,
             yaw=track.yaw,
             yaw_rate=float(track.body.state.x[7]),
             size=track.size,
             box_px=box if n > 1 else projected_box(track, T_world_cam0, rig),
             n_points=n,
-            std_position=sigma[:3],
-            std_velocity=sigma[3:],
+            std_position=sigma[0],
+            std_velocity=sigma[1],
             std_size=track.box.std_size,
             std_yaw=math.sqrt(track.heading.variance),
             std_yaw_rate=math.sqrt(track.body.state.P[7, 7]),
         )
         for track, box, n, sigma in zip(
-            tracks, boxes, n_points.tolist(), _sigmas([t.box for t in tracks]), strict=True
+            tracks, boxes, n_points.tolist(), map(_sigmas, tracks), strict=True
         )
     )
 
 
-def _sigmas(boxes: Sequence[Box]) -> FloatArray:
-    """Standard deviations (T, 6) of boxes' centres and velocities, in world.
-
-    The face that was seen stays: the centre is off by half of what the size is.
-    """
-    variance = np.array([box.covariance.diagonal() for box in boxes]).reshape(-1, 6)
-    half = np.square(0.5 * np.array([box.std_size for box in boxes])).reshape(-1, 3)
-    along = np.square(np.cos([box.yaw for box in boxes]))
-    np.maximum(variance, 0.0, out=variance)
-    variance[:, 0] += along * half[:, 0] + (1.0 - along) * half[:, 1]
-    variance[:, 1] += (1.0 - along) * half[:, 0] + along * half[:, 1]
-    variance[:, 2] += half[:, 2]
-    return np.asarray(np.sqrt(variance))
+def _sigmas(track: Track) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations (3,) of a track's reported centre, and of its velocity, in world."""
+    place = np.sqrt(np.square(centre_sigma(track.box)) + np.square(track.lag))
+    return place, np.sqrt(np.maximum(track.velocity_cov.diagonal(), 0.0))
 
 
 def _output_state(

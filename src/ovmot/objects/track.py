@@ -13,6 +13,7 @@ from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
 from ovmot.objects.motion_evidence import Origin, body_log_ratio, carried_origin
 from ovmot.objects.reappearance import body_seen_again
+from ovmot.objects.reported_place import AT_ITS_PLACE, lag_after
 from ovmot.physics import STEADY_S
 from ovmot.settings import ObjectTrackSettings
 
@@ -39,7 +40,7 @@ class Track(NamedTuple):
     found again. `measured_ns`: time of the last measurement, `updated_ns`: of the last update of
     any kind. `remeasured`: in how many frames it was measured again. `log_ratio`: of the likelihood
     that it moves over that it rests, as long as it is tentative. `overlaps`: frames in a row in
-    which it was a duplicate of an older track.
+    which it was a duplicate of an older track. `lag` (3,): of the reported centre.
     """
 
     track_id: int
@@ -54,6 +55,7 @@ class Track(NamedTuple):
     updated_ns: int
     remeasured: int
     log_ratio: float
+    lag: FloatArray = AT_ITS_PLACE
     overlaps: int = 0
 
     @property
@@ -151,6 +153,13 @@ def rests(track: Track, settings: ObjectTrackSettings) -> bool:
 
 def advance_track(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> Track:
     """The track predicted to a frame, updated by its features, and tested if it is tentative."""
+    now, before = _updated(track, frame, settings), track.box
+    dt = 1e-9 * (frame.timestamp_ns - track.body.timestamp_ns)
+    return now._replace(lag=lag_after(track.lag, before, now.box, dt, settings.smoothing_s))
+
+
+def _updated(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> Track:
+    """The same but for its lag."""
     track = track._replace(origin=carried_origin(track.origin, frame.correction))
     body = _advanced(track, frame)
     dt = 1e-9 * (frame.timestamp_ns - track.body.timestamp_ns)
@@ -213,7 +222,9 @@ def found_again(track: Track, body: Body, origin: Origin, frame: FrameViews) -> 
     camera = frame.step.centre
     heading = new_heading()._replace(shown=track.heading.shown, drives=track.heading.drives)
     heading = updated_heading(heading, body, body.state.x[:3], camera, 0.1)
-    found = track._replace(body=body, origin=origin, heading=heading, least_size=track.box.size)
+    found = track._replace(
+        body=body, origin=origin, heading=heading, least_size=track.box.size, lag=AT_ITS_PLACE
+    )
     return with_box(found, frame)
 
 
