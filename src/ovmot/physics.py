@@ -11,6 +11,8 @@ from scipy.special import chdtri, ndtri
 
 from ovmot.geometry.arrays import FloatArray
 
+UNIFORM_VARIANCE = 1.0 / 12.0
+"""Of what is anywhere between 0 and 1."""
 # Features in the image.
 PIXEL_SIGMA = 0.4
 """Standard deviation of each pixel coordinate of a stereo match, pixels, before it is measured.
@@ -109,11 +111,29 @@ ODD_SPEED_SHARE = 0.05
 WALKER_SIZE_M = (0.75, 0.5, 1.72)
 """Length in mid-step, breadth of the shoulders and height of a person (step: Weidmann, 1993;
 breadth and height: DIN 33402-2, mean of the medians)."""
+WALKER_DEPTH_M = 0.28
+"""Depth of a standing person (DIN 33402-2): what a walker's length is between two steps."""
 CYCLIST_SIZE_M = (1.8, 0.6, 1.75)
 """Length of a bicycle, breadth of its handlebar, height of the rider on it (ISO 4210)."""
 SIZE_SPREAD = 0.1
 """Standard deviation of a body's length, width and height within its class, as a share; of heights
 of people it is 4 %, and clothes, bags and steps add to it."""
+VEHICLE_SPREADS = (0.25, 0.15)
+"""The same of lengths and heights of vehicles of one width: vans of 4.4 to 7 m, lorries of 6 to 12
+m; saloons of 1.4 m, vans of 2 m and more."""
+TRIP_SHARES = (0.22, 0.11, 0.43)
+"""Of all trips, on foot, by bicycle and as the driver of a car (Mobilität in Deutschland, 2017)."""
+CLASS_SIZES_M = (
+    (0.5 * (WALKER_SIZE_M[0] + WALKER_DEPTH_M), *WALKER_SIZE_M[1:]), CYCLIST_SIZE_M, CAR_SIZE_M,
+)  # fmt: skip
+"""Sizes (length, width, height) of walkers, in the middle of their step, cyclists and cars."""
+_STEP_SPREAD = (WALKER_SIZE_M[0] - WALKER_DEPTH_M) * UNIFORM_VARIANCE**0.5 / CLASS_SIZES_M[0][0]
+CLASS_SIZE_SPREADS = (
+    (_STEP_SPREAD, SIZE_SPREAD, SIZE_SPREAD),
+    (SIZE_SPREAD, SIZE_SPREAD, SIZE_SPREAD),
+    (VEHICLE_SPREADS[0], SIZE_SPREAD, VEHICLE_SPREADS[1]),
+)
+"""Their standard deviations, as shares; a walker's length is anywhere within its step."""
 # A rig at rest on its springs or its tripod.
 REST_SHIFT_M = 0.01
 """A body that rocks on its springs moves its camera by up to this."""
@@ -141,8 +161,6 @@ def sigmas(probability: float) -> float:
 
 SIGMAS_95 = sigmas(0.975)
 """Standard deviations within which, on both sides, a Gaussian error is with 95 %."""
-UNIFORM_VARIANCE = 1.0 / 12.0
-"""Of what is anywhere between 0 and 1."""
 
 
 @lru_cache(maxsize=4096)

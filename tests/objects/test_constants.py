@@ -6,7 +6,7 @@ from pathlib import Path
 
 import ovmot.objects
 
-MOST = 60
+MOST = 59
 NO_NUMBERS = {
     "N_BODY", "VELOCITY", "_LEVEL", "_POSE", "_HEIGHT", "_NO_LABEL", "_NEVER",
     "UNSEEN", "STEREO", "LEFT", "REFUSED",

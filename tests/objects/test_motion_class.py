@@ -1,12 +1,10 @@
 """Classes of motion: what sizes and speeds say, alone and together."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.objects.motion_class import (
     CLASSES,
     SpeedHistory,
@@ -18,11 +16,12 @@ from ovmot.objects.motion_class import (
     speed_log_likelihood,
     with_speed,
 )
-from ovmot.physics import MAX_ROAD_MPS
-from ovmot.types import ObjectTrack
+from ovmot.physics import MAX_ROAD_MPS, TRIP_SHARES
 
 FRAME_NS = 100_000_000
+PRIOR = np.array(TRIP_SHARES) / sum(TRIP_SHARES)
 SHARP = np.full(3, 0.05)
+FACES = np.ones((1, 3), np.bool_)
 
 
 def driven(speeds: list[float], sigma: float = 0.2) -> SpeedHistory:
@@ -37,7 +36,7 @@ def likelihood(speed: float, sigma: float = 0.2) -> FloatArray:
 
 
 def of_size(size: FloatArray, sigma: FloatArray) -> FloatArray:
-    return np.asarray(size_log_likelihood(size[None], sigma[None])[0])
+    return np.asarray(size_log_likelihood(size[None], sigma[None], FACES)[0])
 
 
 def class_of(history: SpeedHistory, size: FloatArray) -> FloatArray:
@@ -80,14 +79,28 @@ def test_length_and_width_may_be_swapped() -> None:
 
 def test_what_is_not_known_of_the_size_says_nothing() -> None:
     found = class_of(no_history(0), np.full(3, np.nan))
-    np.testing.assert_allclose(found, 1.0 / 3.0)
+    np.testing.assert_allclose(found, PRIOR)
+
+
+def test_of_a_side_that_no_view_shows_only_its_least_size_counts() -> None:
+    """Of a car that comes into view a small part says nothing, a large one excludes walkers."""
+    hidden = np.array([[False, False, True]])
+
+    def odds(length: float, faces: BoolArray) -> float:
+        size = np.array([[length, 0.4, np.nan]])
+        found = size_log_likelihood(size, np.full((1, 3), 0.05), faces)[0]
+        return float(found[CLASSES.index("walker")] - found[CLASSES.index("vehicle")])
+
+    assert odds(0.5, hidden) == pytest.approx(0.0, abs=0.1)
+    assert odds(0.5, FACES) > 2.0
+    assert odds(3.0, hidden) < -10.0
 
 
 def test_slow_speeds_say_nothing_and_more_time_says_more() -> None:
     size = np.full(3, np.nan)
-    np.testing.assert_allclose(class_of(driven([0.2] * 50), size), 1.0 / 3.0)
+    np.testing.assert_allclose(class_of(driven([0.2] * 50), size), PRIOR)
     short, long = (class_of(driven([1.4] * n), size)[0] for n in (2, 60))
-    assert 1.0 / 3.0 < short < long
+    assert PRIOR[0] < short < long
     # frames of one manoeuvre are one observation: ten times the rate says no more
     often = no_history(0)
     for k in range(600):
@@ -108,27 +121,20 @@ def test_many_tracks_at_once_are_each_alone() -> None:
     rng = np.random.default_rng(2)
     speed, size = rng.uniform(0.0, 20.0, 5), rng.uniform(0.2, 5.0, (5, 3))
     sigma = rng.uniform(0.05, 0.5, (5, 3))
-    many = speed_log_likelihood(speed, sigma[:, 0]), size_log_likelihood(size, sigma)
+    many = (
+        speed_log_likelihood(speed, sigma[:, 0]),
+        size_log_likelihood(size, sigma, np.repeat(FACES, 5, axis=0)),
+    )
     for k in range(5):
         np.testing.assert_allclose(many[0][k], likelihood(float(speed[k]), float(sigma[k, 0])))
         np.testing.assert_allclose(many[1][k], of_size(size[k], sigma[k]))
 
 
-def track_of(track_id: int, speed: float, size: FloatArray) -> ObjectTrack:
-    return ObjectTrack(
-        track_id=track_id, state="confirmed", position=np.zeros(3),
-        velocity=np.array([0.0, speed, 0.0]), yaw=0.0, yaw_rate=0.0, size=size,
-        box_px=np.zeros(4), n_points=9, std_position=SHARP, std_velocity=SHARP, std_size=SHARP,
-    )  # fmt: skip
-
-
-def test_tracks_of_a_frame_get_their_classes_and_keep_their_histories() -> None:
-    walker = track_of(4, 1.4, np.array([0.5, 0.4, 1.7]))
-    car = track_of(7, 9.0, np.array([4.2, 1.7, 1.4]))
-    assert np.all(np.isnan(walker.class_probability))
-    histories, named = classified({}, (walker, car), 0)
-    assert [int(np.argmax(t.class_probability)) for t in named] == [0, 2]
-    assert replace(named[0], class_probability=walker.class_probability).size is walker.size
-    later, _ = classified(histories, (car,), FRAME_NS)
-    assert set(later) == {7}
-    assert later[7].frames == 2
+def test_tracks_of_a_frame_get_their_classes_and_their_histories_go_on() -> None:
+    speed, sigma = np.array([1.4, 9.0]), np.array([0.05, 0.05])
+    size = np.array([[0.5, 0.4, 1.7], [4.2, 1.7, 1.4]])
+    of_size = size, np.full((2, 3), 0.05), np.repeat(FACES, 2, axis=0)
+    histories, named = classified([no_history(0)] * 2, 0, speed, sigma, *of_size)
+    assert np.argmax(named, axis=1).tolist() == [0, 2]
+    later, _ = classified(histories, FRAME_NS, speed, sigma, *of_size)
+    assert [history.frames for history in later] == [2, 2]

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import log_ndtr
 
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.objects.motion_class_kernel import (
     Classes,
     log_normal_cdf,
@@ -29,12 +29,14 @@ def of_speed(speed: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.concatenate([named, anywhere[:, 2:]], axis=1)
 
 
-def of_size(size: FloatArray, sigma: FloatArray) -> FloatArray:
+def of_size(size: FloatArray, sigma: FloatArray, faces: BoolArray) -> FloatArray:
     order = np.concatenate([np.argsort(-size[:, :2], axis=1), np.full((len(size), 1), 2)], axis=1)
     seen, noise = (np.take_along_axis(x, order, 1)[:, None] for x in (size, sigma))
+    both = np.take_along_axis(faces, order, 1)[:, None]
     spread = np.hypot(CLASSES.size_spread * CLASSES.size, noise)
-    each = log_ndtr((CLASSES.size - seen) / spread) - np.log(CLASSES.size)
-    each[:, 2] = -np.log(CLASSES.size[2])
+    bounded = np.array([[[True], [True], [False]]])  # the last class has no greatest size
+    fits = np.asarray(log_ndtr((CLASSES.size - seen) / spread), dtype=np.float64)
+    each = np.where(bounded, fits, 0.0) - np.where(both, np.log(CLASSES.size), 0.0)
     return np.asarray(np.where(np.isfinite(seen), each, 0.0).sum(axis=-1))
 
 
@@ -50,5 +52,6 @@ def test_of_speeds_and_of_sizes() -> None:
     np.testing.assert_allclose(found, of_speed(speed, sigma), rtol=1e-4)
     size, noise = rng.uniform(0.2, 6.0, (50, 3)), rng.uniform(0.02, 0.6, (50, 3))
     size[3, 0] = size[4, 1] = size[5, 2] = np.nan
-    found = size_log_likelihood_compiled(size, noise, CLASSES)
-    np.testing.assert_allclose(found, of_size(size, noise), rtol=1e-4)
+    faces = rng.random((50, 3)) < 0.5
+    found = size_log_likelihood_compiled(size, noise, faces, CLASSES)
+    np.testing.assert_allclose(found, of_size(size, noise, faces), rtol=1e-4)

@@ -17,6 +17,7 @@ from ovmot.objects.track import (
     measured_track,
     rests,
     start_track,
+    with_box,
 )
 from ovmot.settings import ObjectTrackSettings
 
@@ -98,6 +99,13 @@ def test_a_body_of_another_tracks_features_is_not_confirmed_at_once() -> None:
     assert (track.state, again.state) == (TrackState.CONFIRMED, TrackState.TENTATIVE)
 
 
+def test_a_track_without_an_outline_keeps_its_box() -> None:
+    track = make_track((10.0, 1.0, 1.0), ids=[4, 5])
+    m = track.body.map
+    bare = track._replace(body=track.body._replace(map=m._replace(outline=m.outline & False)))
+    assert with_box(bare, frame_of(scene_points([]))).box is track.box
+
+
 def test_what_rests_is_dropped() -> None:
     """A tentative track ends as soon as rest is likelier by the bound; a confirmed one does not."""
     track = make_track(state=TrackState.TENTATIVE)
@@ -108,10 +116,10 @@ def test_what_rests_is_dropped() -> None:
     assert not rests(confirmed, SETTINGS)
 
 
-def test_found_again_a_track_has_its_size_and_another_body() -> None:
+def test_found_again_a_track_is_as_large_as_was_seen_and_has_another_body() -> None:
     track = make_track((10.0, 1.0, 1.0), (4.0, 0.0, 0.0))
     part = make_body((14.0, 1.0, 1.0), (4.0, 0.0, 0.0), ids=(5,), size=np.array([1.0, 0.5, 0.5]))
     found = found_again(track, part, track.origin, frame_of(scene_points([])))
     assert found.track_id == track.track_id
-    np.testing.assert_allclose(found.size, track.size, atol=1e-3)
+    assert np.all(found.size >= track.box.shown.extent - 1e-3)
     assert found.feature_id.tolist() == [5]

@@ -16,8 +16,8 @@ def test_the_centre_is_in_view_or_not(y: float, seen: bool) -> None:
 
 def test_the_image_box_is_that_of_the_corners() -> None:
     rig, track = small_rig(), make_track((10.0, 0.0, 1.6))
-    # the corners of 4.5 x 1.9 x 1.5 m, the near ones 7.75 m away
-    half = 400.0 / 7.75 * np.array([0.95, 0.75])
+    length, width, height = track.size
+    half = 400.0 / (10.0 - 0.5 * length) * np.array([0.5 * width, 0.5 * height])
     middle = np.array([320.0, 140.0])
     expected = np.concatenate([middle - half, middle + half])
     np.testing.assert_allclose(projected_box(track, T_WORLD_CAM0, rig), expected, atol=1e-3)

@@ -16,21 +16,24 @@ from ovmot.objects.body_box_kernel import (
 from ovmot.objects.body_step_kernel import Body
 from ovmot.physics import (
     CAR_CLEARANCE_M,
-    CAR_SIZE_M,
+    CLASS_SIZE_SPREADS,
+    CLASS_SIZES_M,
     LORRY_SIZE_M,
     MAX_VEHICLE_SIZE_M,
+    SIGMAS_95,
+    WALKER_DEPTH_M,
     WALKER_MPS,
     WALKER_SIGMA_MPS,
 )
 
 _SIZES = Sizes(
-    car=np.array(CAR_SIZE_M),
+    usual=np.array(CLASS_SIZES_M),
+    spread=np.array(CLASS_SIZE_SPREADS),
     lorry=np.array(LORRY_SIZE_M),
     greatest=np.array(MAX_VEHICLE_SIZE_M),
     vehicle_m=1.2,
-    seen_sigma=0.3,
-    unseen_share=0.25,
-    least=0.3,
+    far=SIGMAS_95,
+    least=WALKER_DEPTH_M,
     shadow=CAR_CLEARANCE_M,
 )
 _HEADINGS = Headings(
@@ -56,29 +59,32 @@ def new_heading() -> Heading:
 
 
 def updated_heading(
-    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, dt: float
+    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, whole: bool, dt: float
 ) -> Heading:
     """The heading after dt seconds, by the body's velocity, and the sides that a `camera` (3,)
-    sees of its `centre` (3,)."""
-    return turned_heading_compiled(heading, body, centre, camera, dt, _HEADINGS)
+    sees of its `centre` (3,) if it is `whole` in view."""
+    return turned_heading_compiled(heading, body, centre, camera, whole, dt, _HEADINGS)
 
 
-def box_of(body: Body, heading: Heading, least: FloatArray, camera: FloatArray) -> Box:
-    """The box of a body seen by a `camera` (3,), of at least the size `least` (3,).
+def box_of(
+    body: Body, kind: int, heading: Heading, least: FloatArray, camera: FloatArray
+) -> Box:  # fmt: skip
+    """The box of a body of a `kind`, of `motion_class.py: CLASSES`, seen by a `camera` (3,), of at
+    least the size `least` (3,).
 
-    What was not seen of a vehicle is as large as is usual, behind what was. What lies farther from
-    the rest than a lorry is long is not of this body.
+    What was not seen of it is as large as is usual, behind what was. What lies farther from the
+    rest than a lorry is long is not of this body.
     """
-    return box_of_body_compiled(body, heading, least, camera, LORRY_SIZE_M[0], _SIZES)
+    return box_of_body_compiled(body, kind, heading, least, camera, LORRY_SIZE_M[0], _SIZES)
 
 
 def steady_box(
-    body: Body, before: Body, heading: Heading, old: Box, least: FloatArray, camera: FloatArray,
-    gain: float,
+    body: Body, kind: int, before: Body, heading: Heading, old: Box, least: FloatArray,
+    camera: FloatArray, gain: float,
 ) -> Box:  # fmt: skip
     """The box of a body, which changes by a `gain` from the `old` one of the body `before`."""
     return steady_box_compiled(
-        body, before.state.x, heading, old, least, camera, gain, LORRY_SIZE_M[0], _SIZES
+        body, kind, before.state.x, heading, old, least, camera, gain, LORRY_SIZE_M[0], _SIZES
     )
 
 

@@ -14,9 +14,10 @@ from ovmot.kernels.cache import code_folder, compiled, part
 from ovmot.objects.body_step_kernel import Body, FeatureMap
 
 _SIDE_M = 1e-3  # shorter vectors have no direction
-_WHOLE = 0.5  # of the usual size: what shows less of a side does not show all of it
 _TRUSTED = 2  # frames in which a feature of the hull was seen
 _ENOUGH = 3  # features that span a hull
+_UNLIKELY = 0.01  # probability of a range so short
+_BARE = 0.1  # of a body's extent, without texture
 
 
 class Heading(NamedTuple):
@@ -27,6 +28,15 @@ class Heading(NamedTuple):
     variance: float
     shown: BoolArray
     drives: bool
+
+
+class Shown(NamedTuple):
+    """Extents (3,) of what was seen of a body, without its shadow, the sigma (3,) of their ends, m,
+    and along which axes (3,) its faces were in view."""
+
+    extent: FloatArray
+    sigma: FloatArray
+    faces: BoolArray
 
 
 class Box(NamedTuple):
@@ -43,23 +53,25 @@ class Box(NamedTuple):
     std_size: FloatArray
     hull_centre: FloatArray
     hull_size: FloatArray
+    shown: Shown
     is_vehicle: bool
     velocity: FloatArray
     covariance: FloatArray
 
 
 class Sizes(NamedTuple):
-    """Of road users, m: usual ones of cars and lorries (3,), the greatest (3,); from `vehicle_m`
-    across their way they are no walkers. A side that was seen ends within `seen_sigma` of its
-    features, one that was not is uncertain by `unseen_share`; none is smaller than `least`. Up to
-    `shadow` above its lowest feature, a body may be its shadow on the road."""
+    """Of road users, m: usual ones (C, 3) of the classes of motion, the last of them cars, with
+    their spread (C, 3), a share; of lorries (3,), and the greatest (3,). From `vehicle_m` across
+    their way they are no walkers; none is smaller than `least`, or than usual by more than `far`
+    standard deviations. Up to `shadow` above its lowest
+    feature, a body may be its shadow on the road."""
 
-    car: FloatArray
+    usual: FloatArray
+    spread: FloatArray
     lorry: FloatArray
     greatest: FloatArray
     vehicle_m: float
-    seen_sigma: float
-    unseen_share: float
+    far: float
     least: float
     shadow: float
 
@@ -76,10 +88,11 @@ class Headings(NamedTuple):
 
 
 def turned_heading(
-    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, dt: float, h: Headings
-) -> Heading:
+    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, whole: bool, dt: float,
+    h: Headings,
+) -> Heading:  # fmt: skip
     """The heading after dt seconds, by the body's velocity, and the sides that a `camera` (3,)
-    sees of its `centre` (3,)."""
+    sees of its `centre` (3,) if it is `whole` in view."""
     x, P = body.state.x, body.state.P
     speed = math.sqrt(x[4] ** 2 + x[5] ** 2)
     angle, variance = heading.angle, heading.variance + h.wander**2 * dt
@@ -99,41 +112,49 @@ def turned_heading(
     cosine = abs(math.cos(x[3] + angle) * ray_x + math.sin(x[3] + angle) * ray_y) / length
     sine = math.sqrt(max(1.0 - cosine**2, 0.0))
     shown = heading.shown.copy()
-    shown[0] |= sine > h.grazing
-    shown[1] |= cosine > h.grazing
+    shown[0] |= whole and sine > h.grazing
+    shown[1] |= whole and cosine > h.grazing
     drives = heading.drives or speed - 2.0 * along > h.drives_mps
     return Heading(angle, variance, shown, drives)
 
 
 def box_of_body(
-    body: Body, heading: Heading, least: FloatArray, camera: FloatArray, gap: float, sizes: Sizes
-) -> Box:
-    """The box of a body seen by a `camera` (3,), of at least the size `least` (3,).
+    body: Body, kind: int, heading: Heading, least: FloatArray, camera: FloatArray, gap: float,
+    sizes: Sizes,
+) -> Box:  # fmt: skip
+    """The box of a body of a `kind` seen by a `camera` (3,), of at least the size `least` (3,).
 
-    What was not seen of a vehicle is as large as is usual for its height and width, behind what
-    was. What lies beyond a `gap`, m, is not of this body.
+    What was not seen of it is as large as is usual, behind what was. What lies beyond a `gap`, m,
+    is not of this body.
     """
     x, m, lo, hi = body.state.x, body.map, np.empty(3), np.empty(3)
     c, s = math.cos(x[3] + heading.angle), math.sin(x[3] + heading.angle)
-    extents(m, outline_above(m, -math.inf), heading.angle, gap, lo, hi)
+    noise = np.empty(3)
+    n_whole = extents(m, outline_above(m, -math.inf), heading.angle, gap, lo, hi, noise)
     hull_size, hull_middle = hi - lo, 0.5 * (lo + hi)
-    without_shadow(m, heading.angle, gap, sizes.shadow, lo, hi)
+    n_high = without_shadow(m, heading.angle, gap, sizes.shadow, lo, hi, noise)
     vehicle = heading.drives or hi[1] - lo[1] > sizes.vehicle_m
-    usual = usual_size(hi - lo, sizes) if heading.drives else sizes.car
-    size, std, middle, local = np.empty(3), np.full(3, sizes.seen_sigma), np.empty(3), np.empty(3)
-    eye_x, eye_y = camera[0] - x[0], camera[1] - x[1]
+    usual = usual_size(hi - lo, sizes) if kind == len(sizes.usual) - 1 else sizes.usual[kind]
+    size, std, middle, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    eye_x, eye_y, shown = (
+        camera[0] - x[0],
+        camera[1] - x[1],
+        Shown(hi - lo, noise, np.ones(3, np.bool_)),
+    )
     eye = (c * eye_x + s * eye_y, c * eye_y - s * eye_x, camera[2] - x[2])
     for a in range(3):
-        seen = hi[a] - lo[a]
-        middle[a] = 0.5 * (lo[a] + hi[a])
-        size[a] = max(seen, least[a], sizes.least)
-        is_unseen = a < 2 and not (heading.shown[a] and size[a] >= _WHOLE * usual[a])
-        if vehicle and is_unseen and size[a] < usual[a]:
-            size[a], std[a] = usual[a], sizes.unseen_share * usual[a]
-        size[a] = min(size[a], sizes.greatest[a])
-        # the nearer face stays
-        local[a] = lo[a] + 0.5 * size[a] if eye[a] < middle[a] else hi[a] - 0.5 * size[a]
-    local[2] = middle[2]
+        n, spread = n_whole if a == 2 else n_high, sizes.spread[kind, a]
+        shown.faces[a] = a == 2 or heading.shown[a]
+        middle[a], size[a], std[a] = 0.5 * (lo[a] + hi[a]), usual[a], spread * usual[a]
+        both = shown.faces[a] and spans(shown.extent[a], n, (1.0 - sizes.far * spread) * usual[a])
+        if both:
+            size[a], std[a] = size_of(shown.extent[a], n, size[a], std[a])
+        size[a] = min(max(size[a], shown.extent[a], least[a], sizes.least), sizes.greatest[a])
+        # both faces were seen, or the nearer one, which stays
+        if both or a == 2:
+            local[a] = middle[a]
+        else:
+            local[a] = lo[a] + 0.5 * size[a] if eye[a] < middle[a] else hi[a] - 0.5 * size[a]
     centre, hull_centre = np.empty(3), np.empty(3)
     for place, out in ((local, centre), (hull_middle, hull_centre)):
         out[0] = x[0] + c * place[0] - s * place[1]
@@ -141,19 +162,48 @@ def box_of_body(
         out[2] = x[2] + place[2]
     velocity, covariance = motion_of(body, centre)
     return Box(
-        centre, x[3] + heading.angle, size, std, hull_centre, hull_size, vehicle, velocity,
+        centre, x[3] + heading.angle, size, std, hull_centre, hull_size, shown, vehicle, velocity,
         covariance,
     )  # fmt: skip
 
 
 @part
+def spans(seen: float, n: int, extent: float) -> bool:
+    """May n features anywhere along an `extent`, m, have the range that was `seen`? Else a part of
+    the body was hidden.
+
+    The distribution of the range is n r^(n - 1) - (n - 1) r^n with r = seen / extent.
+    """
+    r = min(seen / extent, 1.0)
+    return n >= _ENOUGH and n * r ** (n - 1) - (n - 1) * r**n > _UNLIKELY
+
+
+@part
+def size_of(seen: float, n: int, usual: float, sigma: float) -> tuple[float, float]:
+    """A body's extent along one axis and its standard deviation, m, by the extent of n features
+    anywhere on it, and by the `usual` one of its class with `sigma`.
+
+    The range R of n uniform values has the mean s (n - 1)/(n + 1), so that R (n + 1)/(n - 1) is
+    unbiased, with the variance 2 s²/((n - 1)(n + 2)) (H. David & H. Nagaraja, Order Statistics,
+    2003, 2.3). Its ends are known no better than bodies have bare edges, a tenth of their extent.
+    """
+    size = seen * (n + 1.0) / (n - 1.0)
+    variance = (2.0 / ((n - 1.0) * (n + 2.0)) + _BARE**2) * max(size, usual) ** 2
+    gain = sigma**2 / (sigma**2 + variance)
+    return usual + gain * (size - usual), math.sqrt((1.0 - gain) * sigma**2)
+
+
+@part
 def usual_size(seen: FloatArray, sizes: Sizes) -> FloatArray:
     """Size (3,) of a vehicle as wide and high as was `seen` (3,): between a car and a lorry."""
-    share = 0.0
+    share, car = 0.0, sizes.usual[-1]
     for a in (1, 2):
-        larger = (seen[a] - sizes.car[a]) / (sizes.lorry[a] - sizes.car[a])
+        larger = (seen[a] - car[a]) / (sizes.lorry[a] - car[a])
         share = max(share, min(larger, 1.0))
-    return sizes.car + share * (sizes.lorry - sizes.car)
+    out = np.empty(3)
+    for a in range(3):
+        out[a] = car[a] + share * (sizes.lorry[a] - car[a])
+    return out
 
 
 @part
@@ -176,16 +226,19 @@ def motion_of(body: Body, point: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @part
 def without_shadow(
-    m: FeatureMap, angle: float, gap: float, shadow: float, lo: FloatArray, hi: FloatArray
-) -> None:
-    """Take length and width of `lo`, `hi` (3,) from what is higher than `shadow` above the bottom.
+    m: FeatureMap, angle: float, gap: float, shadow: float, lo: FloatArray, hi: FloatArray,
+    noise: FloatArray,
+) -> int:  # fmt: skip
+    """Take length and width of `lo`, `hi`, `noise` (3,) from what is higher than `shadow` above the
+    bottom: of how many features.
 
     The shadow on the road moves as the body does, and reaches farther.
     """
-    back, front = np.empty(3), np.empty(3)
-    extents(m, outline_above(m, lo[2] + shadow), angle, gap, back, front)
+    back, front, of_both = np.empty(3), np.empty(3), np.empty(3)
+    n = extents(m, outline_above(m, lo[2] + shadow), angle, gap, back, front, of_both)
     for a in range(2):
-        lo[a], hi[a] = back[a], front[a]
+        lo[a], hi[a], noise[a] = back[a], front[a], of_both[a]
+    return n
 
 
 @part
@@ -206,10 +259,12 @@ def outline_above(m: FeatureMap, bottom: float) -> IntArray:
 
 @part
 def extents(
-    m: FeatureMap, rows: IntArray, angle: float, gap: float, lo: FloatArray, hi: FloatArray
-) -> None:
+    m: FeatureMap, rows: IntArray, angle: float, gap: float, lo: FloatArray, hi: FloatArray,
+    noise: FloatArray,
+) -> int:  # fmt: skip
     """The least and greatest coordinates (3,) along a heading of some features of a map, each less
-    the greatest error that is to be expected of so many."""
+    the greatest error that is to be expected of so many, and the sigma (3,) of both; and of how
+    many."""
     n = len(rows)
     f, sigma, c, s = np.empty((3, n)), np.empty((3, n)), math.cos(angle), math.sin(angle)
     for i in range(n):
@@ -219,16 +274,20 @@ def extents(
         sigma[1, i] = math.sqrt(max(s * s * C[0, 0] - 2.0 * c * s * C[0, 1] + c * c * C[1, 1], 0.0))
         sigma[2, i] = math.sqrt(max(C[2, 2], 0.0))
     whole = near_the_median(f[0], sigma[0], gap) & near_the_median(f[1], sigma[1], gap)
-    n_whole = np.sum(whole)
+    n_whole = int(np.sum(whole))
     wider = math.sqrt(2.0 * math.log(max(n_whole if n_whole > 0 else n, 2)))
     for a in range(3):
-        lo[a], hi[a] = math.inf, -math.inf
+        lo[a], hi[a], of_lo, of_hi = math.inf, -math.inf, 0.0, 0.0
         for i in range(n):
             if whole[i] or n_whole == 0:
-                lo[a] = min(lo[a], f[a, i] + wider * sigma[a, i])
-                hi[a] = max(hi[a], f[a, i] - wider * sigma[a, i])
+                if f[a, i] + wider * sigma[a, i] < lo[a]:
+                    lo[a], of_lo = f[a, i] + wider * sigma[a, i], sigma[a, i]
+                if f[a, i] - wider * sigma[a, i] > hi[a]:
+                    hi[a], of_hi = f[a, i] - wider * sigma[a, i], sigma[a, i]
+        noise[a] = math.sqrt(of_lo**2 + of_hi**2)
         if lo[a] > hi[a]:
             lo[a] = hi[a] = 0.5 * (lo[a] + hi[a])
+    return n_whole if n_whole > 0 else n
 
 
 @part
@@ -254,12 +313,13 @@ _box_of_body = part(box_of_body)
 
 
 def steady_box(
-    body: Body, before: FloatArray, heading: Heading, old: Box, least: FloatArray,
+    body: Body, kind: int, before: FloatArray, heading: Heading, old: Box, least: FloatArray,
     camera: FloatArray, gain: float, gap: float, sizes: Sizes,
 ) -> Box:  # fmt: skip
     """The box of a body as `box_of_body` has it, but that it changes slowly in the body's frame, by
-    a gain, from the `old` one, of when its frame was at `before` (4,): place and yaw."""
-    new, place = _box_of_body(body, heading, least, camera, gap, sizes), body.state.x
+    a gain, from the `old` one, of when its frame was at `before` (4,): place and yaw. How far its
+    size is behind is part of its standard deviations."""
+    new, place = _box_of_body(body, kind, heading, least, camera, gap, sizes), body.state.x
     c, s = math.cos(before[3]), math.sin(before[3])
     dx, dy = old.centre[0] - before[0], old.centre[1] - before[1]
     x, y, z = c * dx + s * dy, c * dy - s * dx, old.centre[2] - before[2]
@@ -272,10 +332,11 @@ def steady_box(
     centre[0], centre[1] = place[0] + c * x - s * y, place[1] + s * x + c * y
     centre[2] = place[2] + z
     size = old.size + gain * (new.size - old.size)
+    std = np.sqrt(new.std_size**2 + (new.size - size) ** 2)
     velocity, covariance = motion_of(body, centre)
     return Box(
-        centre, new.yaw, size, new.std_size, new.hull_centre, new.hull_size, new.is_vehicle,
-        velocity, covariance,
+        centre, new.yaw, size, std, new.hull_centre, new.hull_size, new.shown,
+        new.is_vehicle, velocity, covariance,
     )  # fmt: skip
 
 
@@ -287,8 +348,8 @@ def carried_box(body: Body, before: FloatArray, box: Box) -> Box:
         hull_centre[a] += body.state.x[a] - before[a]
     velocity, covariance = motion_of(body, centre)
     return Box(
-        centre, box.yaw, box.size, box.std_size, hull_centre, box.hull_size, box.is_vehicle,
-        velocity, covariance,
+        centre, box.yaw, box.size, box.std_size, hull_centre, box.hull_size, box.shown,
+        box.is_vehicle, velocity, covariance,
     )  # fmt: skip
 
 

@@ -1,17 +1,17 @@
 """Classes of motion: walker, cyclist or vehicle, as a probability from size and speed history.
 
-By Bayes' rule, with equal priors and no learned model. A box that was seen says that the body is at
-least so large: a seen extent is taken as uniform from nothing to the body's. Speeds come from the
-distributions of `physics.py`; those within a manoeuvre are one observation. Who is slower than
-`SLOW_MPS` may be anyone who stops, and the speed says nothing.
+By Bayes' rule, with the shares of trips as priors and no learned model. A box that was seen says
+that the body is at least so large: a seen extent is taken as uniform from nothing to the body's.
+Speeds come from the distributions of `physics.py`; those within a manoeuvre are one observation.
+Who is slower than `SLOW_MPS` may be anyone who stops, and the speed says nothing.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.objects.motion_class_kernel import (
     Classes,
     size_log_likelihood_compiled,
@@ -27,11 +27,11 @@ from ovmot.physics import (
     ODD_SPEED_SHARE,
     SIZE_SPREAD,
     SLOW_MPS,
+    TRIP_SHARES,
     WALKER_MPS,
     WALKER_SIGMA_MPS,
     WALKER_SIZE_M,
 )
-from ovmot.types import ObjectTrack
 
 CLASSES = ("walker", "cyclist", "vehicle")
 """In the order of all arrays (3,) of classes."""
@@ -86,7 +86,7 @@ def history_log_likelihood(history: SpeedHistory) -> FloatArray:
 
 def class_probability(speeds: FloatArray, sizes: FloatArray) -> FloatArray:
     """Probability (..., 3) of each of `CLASSES` from the log-likelihoods (..., 3) of both."""
-    total = speeds + sizes
+    total = np.log(TRIP_SHARES) + speeds + sizes
     probability = np.exp(total - total.max(axis=-1, keepdims=True))
     return np.asarray(probability / probability.sum(axis=-1, keepdims=True))
 
@@ -100,38 +100,26 @@ def speed_log_likelihood(speed: FloatArray, sigma: FloatArray) -> FloatArray:
     return speed_log_likelihood_compiled(speed, sigma, _CLASSES)
 
 
-def size_log_likelihood(size: FloatArray, sigma: FloatArray) -> FloatArray:
+def size_log_likelihood(size: FloatArray, sigma: FloatArray, faces: BoolArray) -> FloatArray:
     """Log density (T, 3) of what was seen of bodies: length, width and height (T, 3) m.
 
-    `sigma` (T, 3): their standard deviations. NaN counts as not seen. Of a body's extent s, what
-    is seen of it has the density 1/s up to s, which has the class's spread; s itself stands for its
-    mean in the density. Vehicles are of all lengths, widths and heights from a car's on.
+    `sigma` (T, 3): their standard deviations; `faces` (T, 3): whether both ends were in view, else
+    the body may be of any size from what was seen on. NaN counts as not seen. Of a body's extent s,
+    what is seen of it has the density 1/s up to s, which has the class's spread; s itself stands
+    for its mean in the density. Vehicles are of all lengths, widths and heights from a car's on.
     """
-    return size_log_likelihood_compiled(size, sigma, _CLASSES)
+    return size_log_likelihood_compiled(size, sigma, faces, _CLASSES)
 
 
 def classified(
-    histories: Mapping[int, SpeedHistory], tracks: Sequence[ObjectTrack], timestamp_ns: int
-) -> tuple[dict[int, SpeedHistory], tuple[ObjectTrack, ...]]:
-    """The tracks of a frame with `class_probability` set, and the histories of these tracks.
-
-    A side of a vehicle that was not seen is as uncertain as vehicles' sizes are.
-    """
-    if not tracks:
-        return {}, ()
-    speed = np.linalg.norm([track.velocity[:2] for track in tracks], axis=1)
-    sigma = np.linalg.norm([track.std_velocity[:2] for track in tracks], axis=1) / np.sqrt(2.0)
-    now = speed_log_likelihood(speed, sigma)
-    kept: dict[int, SpeedHistory] = {}
-    for k, track in enumerate(tracks):
-        history = histories.get(track.track_id) or no_history(timestamp_ns)
-        kept[track.track_id] = with_speed(history, timestamp_ns, float(speed[k]), now[k])
-    probability = class_probability(
-        np.array([history_log_likelihood(kept[track.track_id]) for track in tracks]),
-        size_log_likelihood(
-            np.array([track.size for track in tracks]),
-            np.array([track.std_size for track in tracks]),
-        ),
-    )
-    named = zip(tracks, probability, strict=True)
-    return kept, tuple(replace(track, class_probability=p) for track, p in named)
+    histories: Sequence[SpeedHistory], timestamp_ns: int, speed: FloatArray,
+    speed_sigma: FloatArray, size: FloatArray, size_sigma: FloatArray, faces: BoolArray,
+) -> tuple[list[SpeedHistory], FloatArray]:  # fmt: skip
+    """The histories of T tracks with their speeds (T,), m/s, of this time, and the probabilities
+    (T, 3) of each track's classes, also by what was seen of its size (T, 3), m, and of its `faces`
+    (T, 3)."""
+    now = speed_log_likelihood(speed, speed_sigma)
+    each = zip(histories, speed.tolist(), now, strict=True)
+    kept = [with_speed(history, timestamp_ns, v, likelihood) for history, v, likelihood in each]
+    of_speeds = np.array([history_log_likelihood(history) for history in kept])
+    return kept, class_probability(of_speeds, size_log_likelihood(size, size_sigma, faces))

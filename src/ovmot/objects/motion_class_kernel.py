@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.arrays import BoolArray, FloatArray
 from ovmot.kernels.cache import code_folder, compiled, part
 
 _HEIGHT = 2  # among the sides of a box
@@ -64,9 +64,12 @@ def speed_log_likelihood(speed: FloatArray, sigma: FloatArray, classes: Classes)
     return out
 
 
-def size_log_likelihood(size: FloatArray, sigma: FloatArray, classes: Classes) -> FloatArray:
+def size_log_likelihood(
+    size: FloatArray, sigma: FloatArray, faces: BoolArray, classes: Classes
+) -> FloatArray:
     """Log density (T, C) of what was seen of bodies: length, width, height (T, 3) m, with standard
-    deviations (T, 3). NaN counts as not seen; the longer level side is held against the length.
+    deviations (T, 3). Where its `faces` (T, 3) were not in view, a side is at least so long. NaN
+    counts as not seen; the longer level side is held against the length.
 
     Those of the last class are of all sizes from the given one on.
     """
@@ -79,7 +82,7 @@ def size_log_likelihood(size: FloatArray, sigma: FloatArray, classes: Classes) -
             seen = size[t, side]
             for c in range(n_classes):
                 typical = classes.size[c, a]
-                if math.isfinite(seen):
+                if math.isfinite(seen) and faces[t, side]:
                     out[t, c] -= math.log(typical)
                 if math.isfinite(seen) and c < n_classes - 1:
                     spread = math.hypot(classes.size_spread * typical, sigma[t, side])

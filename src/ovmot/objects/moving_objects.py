@@ -16,7 +16,6 @@ from ovmot.objects.body_step_kernel import Body
 from ovmot.objects.feature_motions import FeatureHistory
 from ovmot.objects.frame_views import views_now
 from ovmot.objects.measurement import ObjectMeasurement, measure_objects
-from ovmot.objects.motion_class import SpeedHistory, classified
 from ovmot.objects.motion_evidence import Origin
 from ovmot.objects.tracker import ObjectTracker
 from ovmot.physics import STEADY_S
@@ -70,7 +69,6 @@ class MovingObjects:
         self._history = FeatureHistory()
         self._before: PoseWindow | None = None
         self._rng = np.random.default_rng(settings.objects.seed)
-        self._speeds: dict[int, SpeedHistory] = {}
 
     def step(
         self,
@@ -114,7 +112,6 @@ class MovingObjects:
             )
 
         tracks, points = tracker.step(frame, measurements, points, motions, new_body)
-        self._speeds, tracks = classified(self._speeds, tracks, now_ns)
         held = held_features(points, self._settings.max_excluded_share)
         moving, velocity = tracker.predicted_velocities(motions)
         hidden = tracker.hidden_features(frame)

@@ -47,6 +47,7 @@ def to_object_tracks(
             std_size=track.box.std_size,
             std_yaw=math.sqrt(track.heading.variance),
             std_yaw_rate=math.sqrt(track.body.state.P[7, 7]),
+            class_probability=track.class_probability,
         )
         for track, box, n, sigma in zip(
             tracks, boxes, n_points.tolist(), map(_sigmas, tracks), strict=True

@@ -11,10 +11,11 @@ from ovmot.objects.body import LEAST_SEEN, advance, with_members
 from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box, updated_heading
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
+from ovmot.objects.motion_class import SpeedHistory, no_history
 from ovmot.objects.motion_evidence import Origin, body_log_ratio, carried_origin
 from ovmot.objects.reappearance import body_seen_again
 from ovmot.objects.reported_place import AT_ITS_PLACE, lag_after
-from ovmot.physics import STEADY_S
+from ovmot.physics import STEADY_S, TRIP_SHARES
 from ovmot.settings import ObjectTrackSettings
 
 CENTRE_SHARE = 0.25
@@ -36,11 +37,13 @@ class TrackState(StrEnum):
 class Track(NamedTuple):
     """A body that was seen to move; world axes, SI.
 
-    `origin`: where its filter began. `least_size` (3,): the size that it had before it was lost and
+    `origin`: where its filter began. `least_size` (3,): what was seen of it before it was lost and
     found again. `measured_ns`: time of the last measurement, `updated_ns`: of the last update of
     any kind. `remeasured`: in how many frames it was measured again. `log_ratio`: of the likelihood
     that it moves over that it rests, as long as it is tentative. `overlaps`: frames in a row in
-    which it was a duplicate of an older track. `lag` (3,): of the reported centre.
+    which it was a duplicate of an older track. `speeds`: of its class of motion, which has the
+    probabilities `class_probability` (3,). `whole`: is its box in view as a whole? `lag` (3,): of
+    the reported centre.
     """
 
     track_id: int
@@ -55,6 +58,9 @@ class Track(NamedTuple):
     updated_ns: int
     remeasured: int
     log_ratio: float
+    speeds: SpeedHistory
+    class_probability: FloatArray
+    whole: bool = False
     lag: FloatArray = AT_ITS_PLACE
     overlaps: int = 0
 
@@ -84,6 +90,11 @@ class Track(NamedTuple):
         return self.box.size
 
     @property
+    def kind(self) -> int:
+        """Its most probable class of motion, of `CLASSES`: its box has the usual size of that."""
+        return int(np.argmax(self.class_probability))
+
+    @property
     def yaw(self) -> float:
         """Heading of the box."""
         return self.box.yaw
@@ -105,21 +116,24 @@ def start_track(
     """A track of a new body, of a measurement that is associated with no other one, and of which
     `n_free` features are no other track's."""
     camera = frame.step.centre
-    heading = updated_heading(new_heading(), body, body.state.x[:3], camera, 0.1)
+    heading = updated_heading(new_heading(), body, body.state.x[:3], camera, False, 0.1)
     now_ns = frame.timestamp_ns
+    box = box_of(body, int(np.argmax(TRIP_SHARES)), heading, np.zeros(3), camera)
     track = Track(
         track_id=track_id,
         state=TrackState.TENTATIVE,
         body=body,
         origin=origin,
         heading=heading,
-        box=box_of(body, heading, np.zeros(3), camera),
+        box=box,
         least_size=np.zeros(3),
         born_ns=now_ns,
         measured_ns=now_ns,
         updated_ns=now_ns,
         remeasured=0,
         log_ratio=0.0,
+        speeds=no_history(now_ns),
+        class_probability=np.array(TRIP_SHARES) / sum(TRIP_SHARES),
     )
     return _tested(track, frame, min(body.n_used, n_free), settings)
 
@@ -169,11 +183,13 @@ def _updated(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> 
     if not body.map.outline.any():  # only features that joined it are left: its box goes with it
         return _unseen(track, body)._replace(state=state, updated_ns=frame.timestamp_ns)
     camera = frame.step.centre
-    heading = updated_heading(track.heading, body, track.position, camera, dt)
+    heading = updated_heading(track.heading, body, track.position, camera, track.whole, dt)
     # the box changes slowly in the body's frame, as more of it is seen
     age_s = 1e-9 * (frame.timestamp_ns - track.born_ns)
     gain = 1.0 - math.exp(-dt / max(min(age_s, STEADY_S), dt))
-    box = steady_box(body, track.body, heading, track.box, track.least_size, camera, gain)
+    box = steady_box(
+        body, track.kind, track.body, heading, track.box, track.least_size, camera, gain
+    )
     track = track._replace(
         body=body, state=state, heading=heading, box=box, updated_ns=frame.timestamp_ns
     )
@@ -198,9 +214,11 @@ def _unseen(track: Track, body: Body) -> Track:
 
 
 def with_box(track: Track, frame: FrameViews) -> Track:
-    """The track with the box of its map."""
+    """The track with the box of its map, if that has an outline."""
+    if not track.body.map.outline.any():
+        return track
     return track._replace(
-        box=box_of(track.body, track.heading, track.least_size, frame.step.centre)
+        box=box_of(track.body, track.kind, track.heading, track.least_size, frame.step.centre)
     )
 
 
@@ -218,12 +236,13 @@ def measured_track(
 
 
 def found_again(track: Track, body: Body, origin: Origin, frame: FrameViews) -> Track:
-    """A track that was lost, with a new body in its place; its size stays."""
+    """A track that was lost, with a new body in its place, no smaller than was seen of it."""
     camera = frame.step.centre
     heading = new_heading()._replace(shown=track.heading.shown, drives=track.heading.drives)
-    heading = updated_heading(heading, body, body.state.x[:3], camera, 0.1)
+    heading = updated_heading(heading, body, body.state.x[:3], camera, False, 0.1)
+    least = np.maximum(track.least_size, track.box.shown.extent)
     found = track._replace(
-        body=body, origin=origin, heading=heading, least_size=track.box.size, lag=AT_ITS_PLACE
+        body=body, origin=origin, heading=heading, least_size=least, lag=AT_ITS_PLACE
     )
     return with_box(found, frame)
 

@@ -1,5 +1,7 @@
 """The box of a track in the image."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
@@ -14,15 +16,26 @@ def is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
     return bool(rig.cam0.inside(rig.cam0.project(p_cam0))[0])
 
 
+def are_whole(tracks: Sequence[Track], T_world_cam0: FloatArray, rig: StereoRig) -> list[bool]:
+    """Of each track: are all corners of its box in the left image?"""
+    corners = np.concatenate([_corners(track) for track in tracks])
+    uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
+    inside = rig.cam0.inside(uv).reshape(len(tracks), 8)
+    return [bool(all_of.all()) for all_of in inside]
+
+
+def _corners(track: Track) -> FloatArray:
+    """The corners (8, 3) of a track's box, world."""
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    return track.position + (signs * 0.5 * track.size) @ so3.rotation_z(track.yaw).T
+
+
 def projected_box(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:
     """Left-image box (4,) of a track's 3-D box, clipped at the image border: least u, v, greatest
     u, v, pixels; NaN where its centre is outside the image."""
     if not is_in_view(track, T_world_cam0, rig):
         return np.full(4, np.nan)
-    half = 0.5 * track.size
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    corners = track.position + (signs * half) @ so3.rotation_z(track.yaw).T
-    uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
+    uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), _corners(track)))
     edge = np.array([rig.cam0.width, rig.cam0.height]) - 0.5
     uv = np.clip(uv, -0.5, edge)  # and NaN where a corner is behind the camera
     return np.concatenate([uv.min(axis=0), uv.max(axis=0)])

@@ -27,8 +27,10 @@ from ovmot.objects.track import (
     moves,
     rests,
     start_track,
+    with_box,
 )
 from ovmot.objects.track_box import is_in_view
+from ovmot.objects.track_class import with_classes
 from ovmot.objects.track_features import (
     are_seen,
     held_by,
@@ -107,8 +109,10 @@ class ObjectTracker:
         alive = [t for t in tracks if _is_alive(t, now_ns, settings)]
         hulls = hulls_of(alive)
         tracks = with_exchanged_features(alive, hulls, motions, frame)
-        self._tracks = merge_duplicates(tracks, hulls)
-        # 6 convert for the output, label the points
+        self._tracks = with_classes(merge_duplicates(tracks, hulls), now_ns, T_world_cam0, rig)
+        # 6 the boxes of new tracks have the sizes of their classes
+        self._tracks = tuple(with_box(t, frame) if t.born_ns == now_ns else t for t in self._tracks)
+        # 7 convert for the output, label the points
         self._held = held_by(self._tracks)
         owner = owners(self._held, are_seen(self._tracks), points.feature_id)
         output = to_object_tracks(self._tracks, now_ns, points.pixels, owner, T_world_cam0, rig)
