@@ -145,12 +145,32 @@ REST_TURN_RAD = 2e-4
 """Its rotation from one frame to the next, standard deviation: `REST_STEP_M` over ten metres."""
 
 
-def tracked_pixel_sigma(n_frames: float) -> float:
+def tracked_pixel_sigma(n_frames: float, pixel_sigma: float = PIXEL_SIGMA) -> float:
     """Standard deviation, pixels, of a stereo match whose patch was tracked over `n_frames` frames.
 
-    White noise and drift: 0.7 px over 15 frames, the filter's window; 1.5 px over 100 frames.
+    White noise, `pixel_sigma`, and drift: 0.7 px over 15 frames, the filter's window; 1.5 px over
+    100 frames.
     """
-    return float(np.sqrt(PIXEL_SIGMA**2 + n_frames * PATCH_DRIFT_PX**2))
+    return float(np.sqrt(pixel_sigma**2 + n_frames * PATCH_DRIFT_PX**2))
+
+
+def epipolar_pixel_sigma(
+    distance_px: FloatArray, *, tails: float = 1.5, min_matches: int = 20
+) -> float:
+    """Standard deviation of each pixel of a stereo pair, by the distances (N,) of right points from
+    their epipolar lines, pixels; NaN for few.
+
+    A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
+    disparity has along it. Robust (1.4826 times the median, that of a normal distribution), at
+    least what matching can reach (`LEAST_MATCH_SIGMA_PX`), and wider by `tails`: matches have
+    heavier tails than their median shows.
+    """
+    n = len(distance_px)
+    if n < min_matches:
+        return float("nan")
+    middle = [(n - 1) // 2, n // 2]
+    median = 0.5 * sum(np.partition(distance_px, middle)[middle].tolist())
+    return float(tails * max(1.4826 * median / 2.0**0.5, LEAST_MATCH_SIGMA_PX))
 
 
 @lru_cache(maxsize=64)

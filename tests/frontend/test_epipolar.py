@@ -15,7 +15,7 @@ from ovmot.frontend.epipolar import (
 )
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import FloatArray
-from ovmot.physics import LEAST_MATCH_SIGMA_PX
+from ovmot.physics import LEAST_MATCH_SIGMA_PX, epipolar_pixel_sigma
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
@@ -201,7 +201,9 @@ def distances(px: FloatArray, threshold: float = 1.5) -> StereoMatches:
 def test_the_noise_of_pixels_is_that_of_the_distances() -> None:
     """Of both pixels in quadrature; a distance across the line holds all of it."""
     normal = np.abs(np.random.default_rng(0).normal(0.0, 0.3 * 2.0**0.5, 20000))
-    assert match_sigma(distances(normal), tails=1.0) == pytest.approx(0.3, rel=0.02)
+    assert epipolar_pixel_sigma(distances(normal).distance_px, tails=1.0) == pytest.approx(
+        0.3, rel=0.02
+    )
     assert match_sigma(distances(normal)) == pytest.approx(0.45, rel=0.02)
     # a few gross errors hardly matter, rejected matches do not count
     gross = np.concatenate([normal, np.full(400, 1.4)])
@@ -213,7 +215,7 @@ def test_the_noise_of_pixels_is_that_of_the_distances() -> None:
 def test_few_matches_show_no_noise_and_exact_ones_the_least() -> None:
     assert np.isnan(match_sigma(no_matches()))
     assert np.isnan(match_sigma(distances(np.full(19, 0.2))))
-    assert match_sigma(distances(np.zeros(20)), tails=1.0) == LEAST_MATCH_SIGMA_PX
+    assert epipolar_pixel_sigma(np.zeros(20), tails=1.0) == LEAST_MATCH_SIGMA_PX
 
 
 def scene(n: int, T_now_before: FloatArray, seed: int = 0) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from ovmot.cameras.rig import StereoRig
 from ovmot.frontend.epipolar_kernel import GatedPairs, gate_pairs_compiled
 from ovmot.frontend.two_view_kernel import agree_with_translation_compiled
 from ovmot.geometry.arrays import BoolArray, FloatArray, IntArray
-from ovmot.physics import LEAST_MATCH_SIGMA_PX
+from ovmot.physics import epipolar_pixel_sigma
 from ovmot.settings import EpipolarSettings
 from ovmot.types import StereoMatches
 
@@ -79,20 +79,10 @@ def no_matches() -> StereoMatches:
     return StereoMatches(ids, nothing, nothing[:, 0], ids > 0, nothing[:, :3])
 
 
-def match_sigma(matches: StereoMatches, *, tails: float = 1.5, min_matches: int = 20) -> float:
+def match_sigma(matches: StereoMatches) -> float:
     """Standard deviation of each pixel of a stereo pair, by the accepted distances; NaN for few.
-
-    A distance holds the noise of both pixels, and is all noise: what it shows across the line, the
-    disparity has along it. Robust (1.4826 times the median, that of a normal distribution), at
-    least what matching can reach (`physics.LEAST_MATCH_SIGMA_PX`), and wider by `tails`: matches
-    have heavier tails than their median shows.
-    """
-    distance, n = matches.distance_px[matches.accepted], np.count_nonzero(matches.accepted)
-    if n < min_matches:
-        return float("nan")
-    middle = [(n - 1) // 2, n // 2]
-    median = 0.5 * sum(np.partition(distance, middle)[middle].tolist())
-    return float(tails * max(1.4826 * median / 2.0**0.5, LEAST_MATCH_SIGMA_PX))
+    See `physics.epipolar_pixel_sigma`."""
+    return epipolar_pixel_sigma(matches.distance_px[matches.accepted])
 
 
 def two_view_inliers(

@@ -1,6 +1,7 @@
 """Robust motion between two stereo views of the same points."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,8 @@ def solve_stereo_motion(
     R_now_before: FloatArray,
     sigma: FloatArray,
     rotation_sigma: float,
+    *,
+    max_motions: int = 1,
 ) -> StereoMotion | None:
     """Motion of the left camera by stereo points seen as `before` (N, 4) and `now` (N, 4).
 
@@ -53,31 +56,92 @@ def solve_stereo_motion(
     With the prior rotation each point alone proposes a translation. The proposal with most points
     inside their covariance-scaled gate is refined by iteratively reweighted Gauss-Newton: first the
     motion alone, with a gate as wide as the rotation is uncertain, then together with the points.
+
+    Such a gate lets far points agree with a near body as well as with the world. Where there may be
+    bodies, up to `max_motions` are refined, each one proposed by the points that those before do
+    not explain, and the one that explains the points best is taken (`_unexplained`).
     """
     T_cam1_cam0, sigma = np.array(T_cam1_cam0, order="C"), np.array(sigma, order="C")
     p_before = triangulate_stereo(before, T_cam1_cam0)
     p_now = triangulate_stereo(now, T_cam1_cam0)
     valid: BoolArray = np.isfinite(np.concatenate([p_before, p_now], axis=1)).all(axis=1)
-    if valid.sum() < MIN_POINTS:
+    points = _Points(before[valid], now[valid], p_before[valid], p_now[valid])
+    prior = _Prior(R_now_before, rotation_sigma)
+    best, least = None, np.inf
+    left = np.ones(len(points.p), dtype=np.bool_)
+    for _ in range(max_motions):
+        found = _motion_of(points, left, prior, T_cam1_cam0, sigma)
+        if found is None:
+            break
+        if max_motions == 1:
+            best = found
+            break
+        error = _unexplained(found[0], points, T_cam1_cam0, sigma)
+        left = left & (error >= 1.0)
+        if error.sum() < least:
+            best, least = found, float(error.sum())
+    if best is None:
         return None
-    p, q, z = p_before[valid], p_now[valid], now[valid]
-    C = stereo_covariance(p, T_cam1_cam0, sigma)
-    # the uncertainty of the prior rotation widens the gate
-    A = rotation_sigma * so3.hat(p)
-    W = _inverse_covariances(C + A @ np.swapaxes(A, -1, -2), R_now_before, q, T_cam1_cam0, sigma)
-    t, n_inliers = _best_translation(p, q, z, W, R_now_before, T_cam1_cam0)
-    if n_inliers < MIN_POINTS:
-        return None
-    T = _refine(se3.make(R_now_before, t), p, z, W, R_now_before, rotation_sigma, T_cam1_cam0)
-    T, information, inlier = _refine_with_points(
-        T, before[valid], z, p, sigma, R_now_before, rotation_sigma, T_cam1_cam0
-    )
-    if inlier.sum() < MIN_POINTS:
-        return None
+    T, information, inlier = best
     all_inliers = np.zeros(len(valid), dtype=np.bool_)
     all_inliers[valid] = inlier
     covariance = np.asarray(np.linalg.inv(information), np.float64)
     return StereoMotion(T, covariance, all_inliers)
+
+
+class _Points(NamedTuple):
+    """N stereo points: views (N, 4) before and now, and positions p and q (N, 3), m, by them."""
+
+    before: FloatArray
+    now: FloatArray
+    p: FloatArray
+    q: FloatArray
+
+
+class _Prior(NamedTuple):
+    """Rotation (3, 3) of the left camera, and its standard deviation, rad."""
+
+    R: FloatArray
+    sigma: float
+
+
+def _motion_of(
+    points: _Points, proposing: BoolArray, prior: _Prior, T_cam1_cam0: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray] | None:
+    """The motion (4, 4) of the points `proposing` (N,), its information (6, 6), and which of all
+    points (N,) are its inliers; None of fewer than 8."""
+    if proposing.sum() < MIN_POINTS:
+        return None
+    p, q, z = points.p[proposing], points.q[proposing], points.now[proposing]
+    C = stereo_covariance(p, T_cam1_cam0, sigma)
+    # the uncertainty of the prior rotation widens the gate
+    A = prior.sigma * so3.hat(p)
+    W = _inverse_covariances(C + A @ np.swapaxes(A, -1, -2), prior.R, q, T_cam1_cam0, sigma)
+    t, n_inliers = _best_translation(p, q, z, W, prior.R, T_cam1_cam0)
+    if n_inliers < MIN_POINTS:
+        return None
+    T = _refine(se3.make(prior.R, t), p, z, W, prior.R, prior.sigma, T_cam1_cam0)
+    if not proposing.all():  # by themselves first: most of all points may be another body's
+        T, _, _ = _refine_with_points(
+            T, points.before[proposing], z, p, sigma, prior.R, prior.sigma, T_cam1_cam0
+        )
+    T, information, inlier = _refine_with_points(
+        T, points.before, points.now, points.p, sigma, prior.R, prior.sigma, T_cam1_cam0
+    )
+    return (T, information, inlier) if inlier.sum() >= MIN_POINTS else None
+
+
+def _unexplained(
+    T: FloatArray, points: _Points, T_cam1_cam0: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """Squared Mahalanobis distance (N,) of each point from a motion, in units of its gate, 1 beyond
+    (the cost of MSAC; P. Torr and A. Zisserman, "MLESAC", CVIU 2000)."""
+    C = stereo_covariance(points.p, T_cam1_cam0, sigma)
+    W = _inverse_covariances(C, T[:3, :3], points.q, T_cam1_cam0, sigma)
+    r = points.now - project_stereo(se3.apply(T, points.p), T_cam1_cam0)[0]
+    squared = np.einsum("na,nab,nb->n", r, W, r)
+    unexplained = np.minimum(squared / gate(4, _INLIER_PROBABILITY), 1.0)
+    return np.asarray(np.where(np.isfinite(squared), unexplained, 1.0))
 
 
 def motion_is_significant(motion: StereoMotion, min_motion_m: float) -> bool:
@@ -153,7 +217,7 @@ def _refine_with_points(
     depth are not symmetric. A point is (x, y, 1/z) in the earlier left view, and is eliminated from
     the normal equations (Schur complement; B. Triggs et al., "Bundle adjustment", 2000, sec. 6.1).
     """
-    bound = 2.0 * gate(5, _INLIER_PROBABILITY)  # two stereo views without the point's coordinates
+    bound = gate(5, _INLIER_PROBABILITY)  # two stereo views without the point's coordinates
     information, inlier = np.eye(6), np.zeros(len(p), dtype=np.bool_)
     point = np.concatenate([before[:, :2], 1.0 / p[:, 2:]], axis=1)
     for _ in range(_ITERATIONS):

@@ -19,17 +19,17 @@ from ovmot.geometry.triangulation import stereo_covariance, triangulate_stereo
 from ovmot.physics import (
     CAR_SIZE_M,
     GYRO_BIAS_SIGMA_RPS,
+    PIXEL_SIGMA,
     VARIANCE_FACTOR,
+    epipolar_pixel_sigma,
+    tracked_pixel_sigma,
 )
 from ovmot.types import FrontendFrame, ImuData
 from ovmot.vio.imu_buffer import integrated_rotation
 
 _NO_FEATURES = np.empty(0, dtype=np.int64)
-
-
-_PIXEL_SIGMA = 1.0
-"""Of a stereo match, before anything has measured it: poor images count as well as good ones, and a
-body that moves almost like the world stays with it."""
+_MAX_MOTIONS = 3
+"""Of two frames, tried before one is taken: the world's and those of two vehicles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +57,16 @@ def stereo_path(
     `imu`: the K - 1 intervals between them. The features `excluded` (N,) are left out, and from
     each step on those that did not move along: the path stays with one body. Raises
     `InitializationError` where two frames have no common motion.
+
+    Which features move along is judged by the noise that these frames show. By one that is too
+    large, far points agree with a near vehicle as well as with the world, and the motion between
+    two frames becomes a mean of both.
     """
     R_cam_imu = rig.T_imu_cam0[:3, :3].T
-    sigma = rig.normalized_sigma(_PIXEL_SIGMA)
+    pixel_sigma = tracked_pixel_sigma(1, measured_pixel_sigma(frames, rig))
+    sigma = rig.normalized_sigma(pixel_sigma)
+    # what the path claims has room for errors of the lens, which no frame shows
+    claimed = VARIANCE_FACTOR * max(PIXEL_SIGMA / pixel_sigma, 1.0) ** 2
     T_first_cam = [np.eye(4)]
     variances = [np.zeros(6)]
     inliers = _NO_FEATURES
@@ -71,7 +78,7 @@ def stereo_path(
         span_s = 1e-9 * (now.timestamp_ns - before.timestamp_ns)
         motion = solve_stereo_motion(
             before.normalized[a], now.normalized[b], rig.T_cam1_cam0, R, sigma,
-            GYRO_BIAS_SIGMA_RPS * span_s,
+            GYRO_BIAS_SIGMA_RPS * span_s, max_motions=_MAX_MOTIONS,
         )  # fmt: skip
         if motion is None:
             raise InitializationError(f"no common stereo motion among {len(a)} tracked points")
@@ -79,11 +86,24 @@ def stereo_path(
         excluded = np.union1d(excluded, tracked[in_stereo & ~motion.inlier])
         inliers = np.union1d(inliers, tracked[motion.inlier])
         T_first_cam.append(T_first_cam[-1] @ se3.inverse(motion.T_now_before))
-        variances.append(variances[-1] + VARIANCE_FACTOR * np.diag(motion.covariance))
+        variances.append(variances[-1] + claimed * np.diag(motion.covariance))
     T = rig.T_imu_cam0 @ np.array(T_first_cam) @ se3.inverse(rig.T_imu_cam0)
     inliers = np.setdiff1d(inliers, excluded)
     rotation_sigma, position_sigma = np.sqrt(np.reshape(variances, (-1, 2, 3)).mean(axis=2)).T
     return StereoPath(T, position_sigma, rotation_sigma, inliers)
+
+
+def measured_pixel_sigma(frames: Sequence[FrontendFrame], rig: StereoRig) -> float:
+    """Standard deviation of each pixel of the stereo pairs of these frames, by the distances from
+    their epipolar lines; `PIXEL_SIGMA` of few pairs. The motion has a robust loss for the tails."""
+    pairs = np.concatenate([frame.normalized for frame in frames])
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    ones = np.ones((len(pairs), 1))
+    lines = np.concatenate([pairs[:, :2], ones], axis=1) @ rig.essential.T
+    per_px = np.linalg.norm(lines[:, :2] / np.array([rig.cam1.fx, rig.cam1.fy]), axis=1)
+    distance = np.abs((lines * np.concatenate([pairs[:, 2:], ones], axis=1)).sum(axis=1)) / per_px
+    sigma = epipolar_pixel_sigma(distance, tails=1.0)
+    return sigma if np.isfinite(sigma) else PIXEL_SIGMA
 
 
 def occupied_cells(normalized: FloatArray, rig: StereoRig, *, max_depth_error: float = 0.1) -> int:
@@ -97,6 +117,6 @@ def occupied_cells(normalized: FloatArray, rig: StereoRig, *, max_depth_error: f
     p = p[np.isfinite(p).all(axis=1)]
     if not len(p):
         return 0
-    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(_PIXEL_SIGMA))
+    C = stereo_covariance(p, rig.T_cam1_cam0, rig.normalized_sigma(PIXEL_SIGMA))
     p = p[np.sqrt(C[:, 2, 2]) < max_depth_error * p[:, 2]]
     return len(np.unique(np.floor(p / CAR_SIZE_M[1]).astype(np.int64), axis=0))
