@@ -145,14 +145,18 @@ def test_the_heading_is_the_direction_of_the_velocity_and_stays_at_rest() -> Non
     body.state.x[4:6] = 3.0 * np.array([np.cos(0.3), np.sin(0.3)])
     heading = new_heading()
     for _ in range(40):
-        heading = updated_heading(heading, body, NOTHING, CAMERA, True, 0.1)
+        heading = updated_heading(heading, body, NOTHING, CAMERA, True, True, 0.1)
     assert heading.angle == pytest.approx(0.3, abs=0.02)
     assert heading.drives
     assert heading.shown.tolist() == [False, True]
+    reverses = make_body(velocity=(3.0, 0.0, 0.0))
+    reverses.state.x[4:6] = -2.0 * np.array([np.cos(0.3), np.sin(0.3)])
+    back = updated_heading(heading, reverses, NOTHING, CAMERA, True, True, 0.1)
+    assert back.angle == pytest.approx(heading.angle, abs=0.02)
     stands = make_body(velocity=(0.0, 0.0, 0.0))
-    assert updated_heading(heading, stands, NOTHING, CAMERA, True, 0.1).angle == heading.angle
+    assert updated_heading(heading, stands, NOTHING, CAMERA, True, True, 0.1).angle == heading.angle
     aside_of = np.array([0.0, 40.0, 0.0])
-    cut = updated_heading(heading, body, aside_of, CAMERA, False, 0.1)
+    cut = updated_heading(heading, body, aside_of, CAMERA, False, True, 0.1)
     assert not cut.shown.all()  # by the border of the image
-    aside = updated_heading(heading, body, aside_of, CAMERA, True, 0.1)
+    aside = updated_heading(heading, body, aside_of, CAMERA, True, True, 0.1)
     assert aside.shown.all()

@@ -163,11 +163,14 @@ def test_a_box_changes_slowly_in_the_frame_of_its_body() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, 2.0, 20.0])
 @pytest.mark.parametrize("whole", [True, False])
-def test_a_heading_is_that_of_the_plain_twin(speed: float, whole: bool) -> None:
-    body = some_body(np.random.default_rng(8))
-    body.state.x[4:6] = speed * np.array([np.cos(0.9), np.sin(0.9)])
+@pytest.mark.parametrize("reverses", [True, False])
+def test_a_heading_is_that_of_the_plain_twin(speed: float, whole: bool, reverses: bool) -> None:
+    body, direction = some_body(np.random.default_rng(8)), 0.9 + np.pi * reverses
+    body.state.x[4:6] = speed * np.array([np.cos(direction), np.sin(direction)])
     heading = Heading(0.2, 0.05, np.array([False, False]), False)
-    found = turned_heading_compiled(heading, body, body.state.x[:3], CAMERA, whole, 0.1, HEADINGS)
+    found = turned_heading_compiled(
+        heading, body, body.state.x[:3], CAMERA, whole, reverses, 0.1, HEADINGS
+    )
     angle, variance = heading.angle, heading.variance + HEADINGS.wander**2 * 0.1
     v, P = body.state.x[4:6], body.state.P[4:6, 4:6]
     along = 0.0
@@ -177,7 +180,8 @@ def test_a_heading_is_that_of_the_plain_twin(speed: float, whole: bool) -> None:
         along = float(np.sqrt(u @ P @ u))
         noise = float(across @ P @ across) / speed**2
         if noise < HEADINGS.told**2:
-            off = (0.9 - body.state.x[3] - angle + np.pi) % (2.0 * np.pi) - np.pi
+            off = (direction - body.state.x[3] - angle + np.pi) % (2.0 * np.pi) - np.pi
+            off -= np.pi * np.sign(off) * (reverses and abs(off) > 0.5 * np.pi)
             gain = variance / (variance + 10.0 * noise)
             angle, variance = angle + gain * off, (1.0 - gain) * variance
     ray = (body.state.x[:3] - CAMERA)[:2]

@@ -31,8 +31,8 @@ def usable_events(
     - `frames_out_of_order`, `imu_out_of_order`: the stamp does not follow the last one of its kind.
     - `clock_set_back`: how often that was so for three in a row. What the rig did meanwhile is not
       known. A gap of more than `lost_after_gap_s`, for which more is left out
-      (`events_after_clock`), tells the odometry to begin anew. Twice as much is left out: the clocks
-      of camera and IMU may differ by a part of it, and both must show the gap.
+      (`events_after_clock`), tells the odometry to begin anew. Twice as much is left out: the
+      clocks of camera and IMU may differ by a part of it, and both must show the gap.
     - `imu_spikes`: a value that is not finite, or far above or below both its neighbours.
     - `imu_saturated`: a value that stays the same at the end of a sensor's range.
     """

@@ -59,11 +59,12 @@ def new_heading() -> Heading:
 
 
 def updated_heading(
-    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, whole: bool, dt: float
-) -> Heading:
+    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, whole: bool,
+    has_front: bool, dt: float,
+) -> Heading:  # fmt: skip
     """The heading after dt seconds, by the body's velocity, and the sides that a `camera` (3,)
-    sees of its `centre` (3,) if it is `whole` in view."""
-    return turned_heading_compiled(heading, body, centre, camera, whole, dt, _HEADINGS)
+    sees of its `centre` (3,) if it is `whole` in view. What `has_front`, a vehicle, may reverse."""
+    return turned_heading_compiled(heading, body, centre, camera, whole, has_front, dt, _HEADINGS)
 
 
 def box_of(

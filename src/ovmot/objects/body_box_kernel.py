@@ -88,11 +88,11 @@ class Headings(NamedTuple):
 
 
 def turned_heading(
-    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, whole: bool, dt: float,
-    h: Headings,
+    heading: Heading, body: Body, centre: FloatArray, camera: FloatArray, whole: bool,
+    has_front: bool, dt: float, h: Headings,
 ) -> Heading:  # fmt: skip
     """The heading after dt seconds, by the body's velocity, and the sides that a `camera` (3,)
-    sees of its `centre` (3,) if it is `whole` in view."""
+    sees of its `centre` (3,) if it is `whole` in view. What `has_front` may reverse."""
     x, P = body.state.x, body.state.P
     speed = math.sqrt(x[4] ** 2 + x[5] ** 2)
     angle, variance = heading.angle, heading.variance + h.wander**2 * dt
@@ -105,6 +105,8 @@ def turned_heading(
         noise = across * max(1.0 / max(dt, 1e-3), 1.0)  # errors persist for about a second
         off = math.atan2(x[5], x[4]) - x[3] - angle
         off = (off + math.pi) % (2.0 * math.pi) - math.pi
+        if has_front and heading.variance < h.told**2 and abs(off) > 0.5 * math.pi:
+            off -= math.copysign(math.pi, off)  # it reverses
         gain = variance / (variance + noise)
         angle, variance = angle + gain * off, (1.0 - gain) * variance
     ray_x, ray_y = centre[0] - camera[0], centre[1] - camera[1]

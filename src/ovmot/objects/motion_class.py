@@ -2,8 +2,9 @@
 
 By Bayes' rule, with the shares of trips as priors and no learned model. A box that was seen says
 that the body is at least so large: a seen extent is taken as uniform from nothing to the body's.
-Speeds come from the distributions of `physics.py`; those within a manoeuvre are one observation.
-Who is slower than `SLOW_MPS` may be anyone who stops, and the speed says nothing.
+Speeds come from the distributions of `physics.py`; all those of one body are one observation,
+since it keeps its pace. Who is slower than `SLOW_MPS` may be anyone who stops, and the speed says
+nothing.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,6 @@ from ovmot.physics import (
     CYCLIST_MPS,
     CYCLIST_SIGMA_MPS,
     CYCLIST_SIZE_M,
-    MANOEUVRE_S,
     MAX_ROAD_MPS,
     ODD_SPEED_SHARE,
     SIZE_SPREAD,
@@ -47,41 +47,28 @@ _CLASSES = Classes(
 
 @dataclass(frozen=True, slots=True)
 class SpeedHistory:
-    """What a body's speeds so far say of its class.
-
-    `log_likelihood` (3,) is the sum over `frames` in which it moved, from `first_ns` to `last_ns`.
-    """
+    """What a body's speeds so far say of its class: the sum of their log-likelihoods (3,) over the
+    `frames` in which it moved."""
 
     log_likelihood: FloatArray
     frames: int
-    first_ns: int
-    last_ns: int
 
 
-def no_history(timestamp_ns: int) -> SpeedHistory:
+def no_history() -> SpeedHistory:
     """Of a body that is new."""
-    return SpeedHistory(np.zeros(len(CLASSES)), 0, timestamp_ns, timestamp_ns)
+    return SpeedHistory(np.zeros(len(CLASSES)), 0)
 
 
-def with_speed(
-    history: SpeedHistory, timestamp_ns: int, speed: float, log_likelihood: FloatArray
-) -> SpeedHistory:
+def with_speed(history: SpeedHistory, speed: float, log_likelihood: FloatArray) -> SpeedHistory:
     """The history with one more speed, m/s, and its log-likelihood (3,); slow ones add nothing."""
     if not speed >= SLOW_MPS:
         return history
-    return SpeedHistory(
-        history.log_likelihood + log_likelihood,
-        history.frames + 1,
-        timestamp_ns if history.frames == 0 else history.first_ns,
-        timestamp_ns,
-    )
+    return SpeedHistory(history.log_likelihood + log_likelihood, history.frames + 1)
 
 
 def history_log_likelihood(history: SpeedHistory) -> FloatArray:
-    """Log-likelihood (3,) of all speeds so far: their mean, once for each manoeuvre."""
-    span_s = 1e-9 * (history.last_ns - history.first_ns)
-    observations = 1.0 + span_s / MANOEUVRE_S
-    return np.asarray(observations / max(history.frames, 1) * history.log_likelihood)
+    """Log-likelihood (3,) of all speeds so far: their mean, since one body keeps its pace."""
+    return np.asarray(history.log_likelihood / max(history.frames, 1))
 
 
 def class_probability(speeds: FloatArray, sizes: FloatArray) -> FloatArray:
@@ -112,14 +99,14 @@ def size_log_likelihood(size: FloatArray, sigma: FloatArray, faces: BoolArray) -
 
 
 def classified(
-    histories: Sequence[SpeedHistory], timestamp_ns: int, speed: FloatArray,
-    speed_sigma: FloatArray, size: FloatArray, size_sigma: FloatArray, faces: BoolArray,
+    histories: Sequence[SpeedHistory], speed: FloatArray, speed_sigma: FloatArray,
+    size: FloatArray, size_sigma: FloatArray, faces: BoolArray,
 ) -> tuple[list[SpeedHistory], FloatArray]:  # fmt: skip
     """The histories of T tracks with their speeds (T,), m/s, of this time, and the probabilities
     (T, 3) of each track's classes, also by what was seen of its size (T, 3), m, and of its `faces`
     (T, 3)."""
     now = speed_log_likelihood(speed, speed_sigma)
     each = zip(histories, speed.tolist(), now, strict=True)
-    kept = [with_speed(history, timestamp_ns, v, likelihood) for history, v, likelihood in each]
+    kept = [with_speed(history, v, likelihood) for history, v, likelihood in each]
     of_speeds = np.array([history_log_likelihood(history) for history in kept])
     return kept, class_probability(of_speeds, size_log_likelihood(size, size_sigma, faces))

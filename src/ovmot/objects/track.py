@@ -11,7 +11,7 @@ from ovmot.objects.body import LEAST_SEEN, advance, with_members
 from ovmot.objects.body_box import box_of, carried_box, new_heading, steady_box, updated_heading
 from ovmot.objects.body_box_kernel import Box, Heading
 from ovmot.objects.body_step_kernel import Body, FrameViews
-from ovmot.objects.motion_class import SpeedHistory, no_history
+from ovmot.objects.motion_class import CLASSES, SpeedHistory, no_history
 from ovmot.objects.motion_evidence import Origin, body_log_ratio, carried_origin
 from ovmot.objects.reappearance import body_seen_again
 from ovmot.objects.reported_place import AT_ITS_PLACE, lag_after
@@ -91,7 +91,12 @@ class Track(NamedTuple):
 
     @property
     def kind(self) -> int:
-        """Its most probable class of motion, of `CLASSES`: its box has the usual size of that."""
+        """Its most probable class of motion, of `CLASSES`: its box has the usual size of that.
+
+        What drives is a vehicle until one of its sides was in view: its speed may be anyone's.
+        """
+        if self.heading.drives and not self.box.shown.faces[:2].any():
+            return CLASSES.index("vehicle")
         return int(np.argmax(self.class_probability))
 
     @property
@@ -116,7 +121,7 @@ def start_track(
     """A track of a new body, of a measurement that is associated with no other one, and of which
     `n_free` features are no other track's."""
     camera = frame.step.centre
-    heading = updated_heading(new_heading(), body, body.state.x[:3], camera, False, 0.1)
+    heading = updated_heading(new_heading(), body, body.state.x[:3], camera, False, False, 0.1)
     now_ns = frame.timestamp_ns
     box = box_of(body, int(np.argmax(TRIP_SHARES)), heading, np.zeros(3), camera)
     track = Track(
@@ -132,7 +137,7 @@ def start_track(
         updated_ns=now_ns,
         remeasured=0,
         log_ratio=0.0,
-        speeds=no_history(now_ns),
+        speeds=no_history(),
         class_probability=np.array(TRIP_SHARES) / sum(TRIP_SHARES),
     )
     return _tested(track, frame, min(body.n_used, n_free), settings)
@@ -183,7 +188,9 @@ def _updated(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> 
     if not body.map.outline.any():  # only features that joined it are left: its box goes with it
         return _unseen(track, body)._replace(state=state, updated_ns=frame.timestamp_ns)
     camera = frame.step.centre
-    heading = updated_heading(track.heading, body, track.position, camera, track.whole, dt)
+    heading = updated_heading(
+        track.heading, body, track.position, camera, track.whole, _is_vehicle(track), dt
+    )
     # the box changes slowly in the body's frame, as more of it is seen
     age_s = 1e-9 * (frame.timestamp_ns - track.born_ns)
     gain = 1.0 - math.exp(-dt / max(min(age_s, STEADY_S), dt))
@@ -194,6 +201,10 @@ def _updated(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> 
         body=body, state=state, heading=heading, box=box, updated_ns=frame.timestamp_ns
     )
     return _tested(track, frame, track.body.n_used, settings)
+
+
+def _is_vehicle(track: Track) -> bool:
+    return track.kind == CLASSES.index("vehicle")
 
 
 def _advanced(track: Track, frame: FrameViews) -> Body:
@@ -239,7 +250,7 @@ def found_again(track: Track, body: Body, origin: Origin, frame: FrameViews) -> 
     """A track that was lost, with a new body in its place, no smaller than was seen of it."""
     camera = frame.step.centre
     heading = new_heading()._replace(shown=track.heading.shown, drives=track.heading.drives)
-    heading = updated_heading(heading, body, body.state.x[:3], camera, False, 0.1)
+    heading = updated_heading(heading, body, body.state.x[:3], camera, False, False, 0.1)
     least = np.maximum(track.least_size, track.box.shown.extent)
     found = track._replace(
         body=body, origin=origin, heading=heading, least_size=least, lag=AT_ITS_PLACE

@@ -17,11 +17,19 @@ def is_in_view(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> bool:
 
 
 def are_whole(tracks: Sequence[Track], T_world_cam0: FloatArray, rig: StereoRig) -> list[bool]:
-    """Of each track: are all corners of its box in the left image?"""
-    corners = np.concatenate([_corners(track) for track in tracks])
-    uv = rig.cam0.project(se3.apply(se3.inverse(T_world_cam0), corners))
-    inside = rig.cam0.inside(uv).reshape(len(tracks), 8)
-    return [bool(all_of.all()) for all_of in inside]
+    """Of each track: are all corners of its box in the left image, and is no nearer track's box
+    before it?"""
+    p_cam0 = se3.apply(
+        se3.inverse(T_world_cam0), np.concatenate([_corners(track) for track in tracks])
+    )
+    uv = rig.cam0.project(p_cam0)
+    inside = rig.cam0.inside(uv).reshape(-1, 8).all(axis=1)
+    lo, hi = uv.reshape(-1, 8, 2).min(axis=1), uv.reshape(-1, 8, 2).max(axis=1)  # NaN: behind
+    depth = p_cam0[:, 2].reshape(-1, 8).mean(axis=1)
+    overlap = ((lo[:, None] < hi[None]) & (lo[None] < hi[:, None])).all(axis=2)
+    hidden = (overlap & (depth[None] < depth[:, None])).any(axis=1)
+    whole: list[bool] = (inside & ~hidden).tolist()
+    return whole
 
 
 def _corners(track: Track) -> FloatArray:

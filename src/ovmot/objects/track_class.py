@@ -12,7 +12,7 @@ from ovmot.objects.track_box import are_whole
 
 
 def with_classes(
-    tracks: Sequence[Track], timestamp_ns: int, T_world_cam0: FloatArray, rig: StereoRig
+    tracks: Sequence[Track], T_world_cam0: FloatArray, rig: StereoRig
 ) -> tuple[Track, ...]:
     """The tracks of a frame with the probabilities of their classes, and whether they are whole in
     view.
@@ -26,7 +26,6 @@ def with_classes(
     variance = np.array([np.trace(track.velocity_cov[:2, :2]) for track in tracks])
     histories, probability = classified(
         [track.speeds for track in tracks],
-        timestamp_ns,
         speed,
         np.sqrt(0.5 * variance),
         np.array([track.box.shown.extent for track in tracks]),

@@ -109,7 +109,7 @@ class ObjectTracker:
         alive = [t for t in tracks if _is_alive(t, now_ns, settings)]
         hulls = hulls_of(alive)
         tracks = with_exchanged_features(alive, hulls, motions, frame)
-        self._tracks = with_classes(merge_duplicates(tracks, hulls), now_ns, T_world_cam0, rig)
+        self._tracks = with_classes(merge_duplicates(tracks, hulls), T_world_cam0, rig)
         # 6 the boxes of new tracks have the sizes of their classes
         self._tracks = tuple(with_box(t, frame) if t.born_ns == now_ns else t for t in self._tracks)
         # 7 convert for the output, label the points
