@@ -16,8 +16,10 @@ def test_numpy_and_scipy_use_the_kernels_of_blas_that_were_asked_for() -> None:
     found = [x["architecture"] for x in threadpool_info() if x["internal_api"] == "openblas"]
     assert len(found) >= 2
     asked = os.environ.get("OPENBLAS_CORETYPE")
-    # under other names OpenBLAS may take a near relative's kernels
-    assert set(found) == {asked if asked in TESTED else found[0]}
+    # under other names, or none, each version of OpenBLAS may take a near relative's kernels: on a
+    # processor of the Zen family NumPy's says Haswell and SciPy's Zen
+    if asked in TESTED:
+        assert set(found) == {asked}
 
 
 def test_numba_compiles_for_the_processor_that_was_asked_for() -> None:
