@@ -57,3 +57,9 @@ def test_what_drives_is_a_vehicle_until_a_side_of_it_was_in_view() -> None:
     faces = np.array([False, True, True])
     shown = likely.box._replace(shown=likely.box.shown._replace(faces=faces))
     assert CLASSES[likely._replace(box=shown).kind] == "cyclist"
+
+
+def test_two_who_walk_side_by_side_are_no_vehicle() -> None:
+    pair = classified_after(1.0, 1.3, np.array([0.5, 1.1, 1.7]))
+    assert CLASSES[int(np.argmax(pair.class_probability))] == "vehicle"
+    assert CLASSES[pair.kind] == "walker"

@@ -93,11 +93,13 @@ class Track(NamedTuple):
     def kind(self) -> int:
         """Its most probable class of motion, of `CLASSES`: its box has the usual size of that.
 
-        What drives is a vehicle until one of its sides was in view: its speed may be anyone's.
+        What drives is a vehicle until one of its sides was in view: its speed may be anyone's. What
+        neither drives nor is as wide as a vehicle are walkers side by side.
         """
+        vehicle, kind = CLASSES.index("vehicle"), int(np.argmax(self.class_probability))
         if self.heading.drives and not self.box.shown.faces[:2].any():
-            return CLASSES.index("vehicle")
-        return int(np.argmax(self.class_probability))
+            return vehicle
+        return kind if kind != vehicle or self.box.is_vehicle else CLASSES.index("walker")
 
     @property
     def yaw(self) -> float:
