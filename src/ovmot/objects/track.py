@@ -176,7 +176,10 @@ def advance_track(track: Track, frame: FrameViews, settings: ObjectTrackSettings
     """The track predicted to a frame, updated by its features, and tested if it is tentative."""
     now, before = _updated(track, frame, settings), track.box
     dt = 1e-9 * (frame.timestamp_ns - track.body.timestamp_ns)
-    return now._replace(lag=lag_after(track.lag, before, now.box, dt, settings.smoothing_s))
+    # the estimate of a new body converges: its reported centre goes with it
+    age_s = 1e-9 * (track.body.timestamp_ns - track.born_ns)
+    smoothing_s = min(age_s, settings.smoothing_s)
+    return now._replace(lag=lag_after(track.lag, before, now.box, dt, smoothing_s))
 
 
 def _updated(track: Track, frame: FrameViews, settings: ObjectTrackSettings) -> Track:
