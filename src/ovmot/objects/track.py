@@ -94,12 +94,15 @@ class Track(NamedTuple):
         """Its most probable class of motion, of `CLASSES`: its box has the usual size of that.
 
         What drives is a vehicle until one of its sides was in view: its speed may be anyone's. What
-        neither drives nor is as wide as a vehicle are walkers side by side.
+        does not drive, and is not as wide as a vehicle where its width was in view, are walkers
+        side by side.
         """
         vehicle, kind = CLASSES.index("vehicle"), int(np.argmax(self.class_probability))
-        if self.heading.drives and not self.box.shown.faces[:2].any():
+        shown = self.box.shown.faces
+        if self.heading.drives and not shown[:2].any():
             return vehicle
-        return kind if kind != vehicle or self.box.is_vehicle else CLASSES.index("walker")
+        side_by_side = kind == vehicle and shown[1] and not self.box.is_vehicle
+        return CLASSES.index("walker") if side_by_side else kind
 
     @property
     def yaw(self) -> float:
