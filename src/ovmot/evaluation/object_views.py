@@ -13,15 +13,13 @@ from ovmot.datasets.truth import TrueObjects
 from ovmot.evaluation.matching import ComparedFrame
 from ovmot.geometry import se3, so3
 from ovmot.geometry.arrays import BoolArray, FloatArray
+from ovmot.geometry.boxes import UNIT_CORNERS
 
 SIDE_SHARE = 0.25
 """A side is seen that takes at least this share of the body's angle of view."""
 WHOLE_SHARE = 0.8
 """Nothing hides a body that shows this share of what it shows at best, of its box's outline."""
 _SAME_RAY = 1e-3
-_CORNERS = 0.5 * np.array(
-    [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-)
 
 
 def two_sides_seen(
@@ -90,7 +88,7 @@ def _shown_share(frame: ComparedFrame, camera: Camera, T_cam0_imu: FloatArray) -
     objects = frame.objects
     T_cam0_world = T_cam0_imu @ se3.inverse(frame.T_true)
     turn = so3.exp(objects.yaw[:, None] * np.array([0.0, 0.0, 1.0]))
-    corners = _CORNERS * objects.size[:, None, :]
+    corners = UNIT_CORNERS * objects.size[:, None, :]
     p_world = np.einsum("nij,nkj->nki", turn, corners) + objects.center[:, None, :]
     p = se3.apply(T_cam0_world, p_world.reshape(-1, 3)).reshape(p_world.shape)
     with np.errstate(all="ignore"):

@@ -67,21 +67,11 @@ def solve_stereo_motion(
     valid: BoolArray = np.isfinite(np.concatenate([p_before, p_now], axis=1)).all(axis=1)
     points = _Points(before[valid], now[valid], p_before[valid], p_now[valid])
     prior = _Prior(R_now_before, rotation_sigma)
-    best, least = None, np.inf
-    left = np.ones(len(points.p), dtype=np.bool_)
-    for _ in range(max_motions):
-        found = _motion_of(points, left, prior, T_cam1_cam0, sigma)
-        if found is None:
-            break
-        if max_motions == 1:
-            best = found
-            break
-        error = _unexplained(found[0], points, T_cam1_cam0, sigma)
-        left = left & (error >= 1.0)
-        if error.sum() < least:
-            best, least = found, float(error.sum())
+    best = _motion_of(points, np.ones(len(points.p), dtype=np.bool_), prior, T_cam1_cam0, sigma)
     if best is None:
         return None
+    if max_motions > 1:
+        best = _best_of_more(best, max_motions - 1, points, prior, T_cam1_cam0, sigma)
     T, information, inlier = best
     all_inliers = np.zeros(len(valid), dtype=np.bool_)
     all_inliers[valid] = inlier
@@ -129,6 +119,28 @@ def _motion_of(
         T, points.before, points.now, points.p, sigma, prior.R, prior.sigma, T_cam1_cam0
     )
     return (T, information, inlier) if inlier.sum() >= MIN_POINTS else None
+
+
+_Motion = tuple[FloatArray, FloatArray, BoolArray]
+"""Of `_motion_of`."""
+
+
+def _best_of_more(
+    best: _Motion, n_more: int, points: _Points, prior: _Prior, T_cam1_cam0: FloatArray,
+    sigma: FloatArray,
+) -> _Motion:  # fmt: skip
+    """That motion, or one of `n_more`, which explains the points best."""
+    error = _unexplained(best[0], points, T_cam1_cam0, sigma)
+    least, left = error.sum(), error >= 1.0
+    for _ in range(n_more):
+        found = _motion_of(points, left, prior, T_cam1_cam0, sigma)
+        if found is None:
+            break
+        error = _unexplained(found[0], points, T_cam1_cam0, sigma)
+        left &= error >= 1.0
+        if error.sum() < least:
+            best, least = found, error.sum()
+    return best
 
 
 def _unexplained(

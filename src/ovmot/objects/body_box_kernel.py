@@ -138,11 +138,8 @@ def box_of_body(
     vehicle = heading.drives or hi[1] - lo[1] > sizes.vehicle_m
     usual = usual_size(hi - lo, sizes) if kind == len(sizes.usual) - 1 else sizes.usual[kind]
     size, std, middle, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    eye_x, eye_y, shown = (
-        camera[0] - x[0],
-        camera[1] - x[1],
-        Shown(hi - lo, noise, np.ones(3, np.bool_)),
-    )
+    shown = Shown(hi - lo, noise, np.ones(3, np.bool_))
+    eye_x, eye_y = camera[0] - x[0], camera[1] - x[1]
     eye = (c * eye_x + s * eye_y, c * eye_y - s * eye_x, camera[2] - x[2])
     for a in range(3):
         n, spread = n_whole if a == 2 else n_high, sizes.spread[kind, a]

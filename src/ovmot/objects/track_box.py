@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ovmot.cameras.rig import StereoRig
-from ovmot.geometry import se3, so3
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.boxes import box_corners
 from ovmot.objects.track import Track
 
 
@@ -34,8 +35,7 @@ def are_whole(tracks: Sequence[Track], T_world_cam0: FloatArray, rig: StereoRig)
 
 def _corners(track: Track) -> FloatArray:
     """The corners (8, 3) of a track's box, world."""
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    return track.position + (signs * 0.5 * track.size) @ so3.rotation_z(track.yaw).T
+    return box_corners(track.position, track.size, track.yaw)
 
 
 def projected_box(track: Track, T_world_cam0: FloatArray, rig: StereoRig) -> FloatArray:

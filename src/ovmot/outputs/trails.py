@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ovmot.cameras.camera import Camera
-from ovmot.geometry import se3, so3
+from ovmot.geometry import se3
 from ovmot.geometry.arrays import FloatArray
+from ovmot.geometry.boxes import box_corners
 from ovmot.types import FrameResult, ObjectTrack
 
 TRAIL_S = 4.0
@@ -14,7 +15,6 @@ TRAIL_S = 4.0
 _NEAREST_M = 0.3  # what is nearer to the camera's plane is cut off
 _MOST_GAP_M = 8.0  # a longer step of a trail would be a line across the image
 _SAMPLES = 12  # along an edge, which the distortion bends into a curve
-_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b) in (1, 2, 4)])
 _FRONT = np.array([(4, 7), (5, 6)])  # a cross on the side that the body moves towards
 
@@ -63,7 +63,7 @@ def moved_ways(trail: FloatArray) -> FloatArray:
 
 def body_edges(track: ObjectTrack) -> FloatArray:
     """Ends (14, 2, 3) in the world of the edges of a track's box and of the cross on its front."""
-    corners = track.position + (_CORNERS * track.size) @ so3.rotation_z(track.yaw).T
+    corners = box_corners(track.position, track.size, track.yaw)
     return np.asarray(corners[np.concatenate([_EDGES, _FRONT])])
 
 
